@@ -1,0 +1,33 @@
+"""The one exception that reaches the user: a file, what is wrong with it, what to do about it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+__all__ = ["PrtnetError", "nearest_name"]
+
+
+class PrtnetError(Exception):
+    """Bad input or an impossible request, told in one line.
+
+    The command line prints ``prtnet: error: SUBJECT: MESSAGE`` and exits with status 2.
+
+    Args:
+        subject: the file or option at fault.
+        message: what is wrong and what to do, on one line.
+    """
+
+    def __init__(self, subject: str | Path, message: str) -> None:
+        self.subject = str(subject)
+        self.message = " ".join(message.split())
+        super().__init__(f"{self.subject}: {self.message}")
+
+
+def nearest_name(name: str, known: Iterable[str]) -> str:
+    """A clause that lists the known names and suggests the closest one to ``name``."""
+    names = list(known)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.4)
+    hint = f"did you mean '{close[0]}'? " if close else ""
+    return f"{hint}known: {', '.join(names) if names else 'none'}"

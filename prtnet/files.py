@@ -1,0 +1,60 @@
+"""Outputs appear under their final name only when they are whole; inputs are named by their hash."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from prtnet.errors import PrtnetError
+
+__all__ = ["file_sha256", "finish", "writing"]
+
+
+def file_sha256(path: str | Path) -> str:
+    """Hexadecimal SHA-256 of a file's bytes."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def remove(path: Path) -> None:
+    """Delete a file or a folder; nothing happens where there is none."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def finish(partial: Path, final: Path) -> None:
+    """Put a whole file or folder under its final name, replacing what stood there."""
+    if final.is_dir() or partial.is_dir():
+        remove(final)  # os.replace cannot replace a folder that is not empty
+    os.replace(partial, final)
+
+
+@contextlib.contextmanager
+def writing(path: str | Path) -> Iterator[Path]:
+    """A temporary path beside ``path``; renamed to it when the block ends well, deleted otherwise.
+
+    Raises:
+        PrtnetError: the folder does not exist or cannot be written.
+    """
+    final = Path(path)
+    partial = final.with_name(f".{final.name}.{os.getpid()}.partial{final.suffix}")
+    if final.is_dir() and not os.access(final.parent, os.W_OK):
+        raise PrtnetError(final, "is a folder that cannot be replaced; give another --out")
+    try:
+        if not final.parent.is_dir():
+            raise FileNotFoundError(2, f"the folder {final.parent} does not exist")
+        yield partial
+        finish(partial, final)
+    except OSError as error:
+        remove(partial)
+        reason = error.strerror or str(error)
+        raise PrtnetError(final, f"cannot be written ({reason}); give another --out") from error
+    except BaseException:
+        remove(partial)
+        raise

@@ -1,0 +1,1 @@
+"""Models, lights and poses in, shaded pictures out."""

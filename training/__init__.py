@@ -1,0 +1,1 @@
+"""Datasets in, fitted models and ONNX out."""
