@@ -282,12 +282,14 @@ class SkinnedScene(Scene):
             normals = unit((normal_matrices(linear) @ rest[..., None])[..., 0])
         return Geometry(positions.astype(np.float32), normals.astype(np.float32))
 
+    def rest_pose(self) -> FloatArray:
+        """The flattened pose (1, D) that the file gives its nodes and morph weights."""
+        rig = self.rig
+        rest = (rig.translation, rig.rotation, rig.scale, rig.weights)
+        return self.flatten(LocalPose(*(np.asarray(array)[None] for array in rest)))
+
     def rest(self) -> Geometry:
-        local = LocalPose(
-            self.rig.translation[None], self.rig.rotation[None], self.rig.scale[None],
-            np.asarray(self.rig.weights)[None],
-        )  # fmt: skip
-        return self.geometry(self.flatten(local))
+        return self.geometry(self.rest_pose())
 
     def _vertex_keys(self) -> tuple[FloatArray, ...]:
         weights = self.weights.toarray()
@@ -339,7 +341,8 @@ class PointCacheScene(Scene):
         return 3 * self.vertex_count
 
     def poses(self, clip: Clip, times: FloatArray) -> FloatArray:
-        frame = np.clip(np.asarray(times) * self.fps, 0, len(self.frames) - 1)
+        held = np.clip(times, clip.start, clip.end)
+        frame = np.clip(held * self.fps, 0, len(self.frames) - 1)
         left = np.floor(frame + 1e-6).astype(int)
         u = np.maximum(frame - left, 0.0)[:, None, None].astype(np.float32)
         right = np.minimum(left + 1, len(self.frames) - 1)
