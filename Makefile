@@ -1,0 +1,40 @@
+# `make demo` and `make test` do everything on a fresh machine; see README.md.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input install --quiet -c constraints.txt
+READY := $(VENV)/.installed
+READY_DEV := $(VENV)/.installed-dev
+PYTEST_ARGS ?= -n auto --maxprocesses 8 --dist loadfile
+
+.PHONY: demo test lint bench clean
+
+demo: $(READY)  ## the whole pipeline on the bundled character; pictures in demo/
+	$(BIN)/prtnet demo --out demo
+
+test: lint  ## style, types, and every test
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: $(READY_DEV)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(READY_DEV)  ## every number of docs/benchmarks.md
+	$(BIN)/python -m bench
+
+clean:
+	rm -rf $(VENV) build dist demo .mypy_cache .pytest_cache .ruff_cache
+
+$(READY): pyproject.toml constraints.txt scripts/make-venv.sh scripts/system-gl.sh
+	@PYTHON="$(PYTHON)" bash scripts/make-venv.sh $(VENV)
+	@bash scripts/system-gl.sh
+	@echo "Installing prtnet into $(VENV) (some minutes the first time) ..."
+	@$(PIP) -e .
+	@touch $@
+
+$(READY_DEV): $(READY)
+	@echo "Installing what the tests need ..."
+	@$(PIP) -e '.[dev]'
+	@touch $@

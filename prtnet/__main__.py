@@ -1,0 +1,5 @@
+"""``python -m prtnet``."""
+
+from prtnet.cli import main
+
+main()

@@ -1,0 +1,168 @@
+"""What the user sees while a command works: progress, messages, tables and JSON results.
+
+Progress and messages go to stderr, tables to stdout, so that results can be piped. Long work takes
+a ``Report``, a plain function, and knows nothing of terminals.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import rich.console
+import rich.markup
+import rich.progress
+import rich.table
+
+from prtnet.files import writing
+
+__all__ = ["Console", "Report", "silent", "write_json"]
+
+PATIENCE = 1.0  # seconds before anything is shown: quick work needs no bar
+SPARSE = 10.0  # seconds between lines where there is no terminal to redraw
+
+
+class Report(Protocol):
+    """Called by long work whenever it has got further."""
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """Say that ``done`` of ``total`` steps of ``what`` are behind us."""
+
+
+def silent(what: str, done: int, total: int) -> None:
+    """A ``Report`` that shows nothing."""
+
+
+class Console:
+    """Talks to the user.
+
+    Args:
+        quiet: show nothing; errors are not this class's business.
+        clock: seconds, from anywhere.
+    """
+
+    def __init__(self, quiet: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
+        self.quiet = quiet
+        self._clock = clock
+        self._error = rich.console.Console(file=sys.stderr, highlight=False, soft_wrap=True)
+        self._output = rich.console.Console(file=sys.stdout, highlight=False)
+
+    def message(self, text: str) -> None:
+        """One line on stderr."""
+        if not self.quiet:
+            self._error.print(text, markup=False)
+
+    def table(
+        self, columns: Sequence[str], rows: Sequence[Sequence[object]], title: str | None = None
+    ) -> None:
+        """A table on stdout; every column but the first is flush right."""
+        if self.quiet:
+            return
+        table = rich.table.Table(title=title, title_justify="left", box=None, pad_edge=False)
+        for index, column in enumerate(columns):
+            table.add_column(column, justify="right" if index else "left", overflow="fold")
+        for row in rows:
+            table.add_row(*(rich.markup.escape(str(cell)) for cell in row))
+        self._output.print(table)
+
+    def facts(self, pairs: Sequence[tuple[str, object]]) -> None:
+        """Names and values, one pair a line, on stdout."""
+        if self.quiet:
+            return
+        width = max(len(name) for name, _ in pairs)
+        for name, value in pairs:
+            self._output.print(f"{name:<{width}}  {value}", markup=False, soft_wrap=True)
+
+    @contextlib.contextmanager
+    def progress(self) -> Iterator[Report]:
+        """A ``Report`` to hand to long work: a bar on a terminal, a line now and then elsewhere."""
+        if self.quiet:
+            yield silent
+        elif self._error.is_terminal:
+            bar = _Bar(self._error, self._clock)
+            try:
+                yield bar.report
+            finally:
+                bar.close()
+        else:
+            yield _Lines(self.message, self._clock).report
+
+
+class _Bar:
+    """One bar a task, drawn once the work has taken ``PATIENCE``."""
+
+    def __init__(self, console: rich.console.Console, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._start = clock()
+        self._shown = False
+        self._tasks: dict[str, rich.progress.TaskID] = {}
+        self._progress = rich.progress.Progress(
+            rich.progress.TextColumn("{task.description}", markup=False),
+            rich.progress.BarColumn(),
+            rich.progress.MofNCompleteColumn(),
+            rich.progress.TimeRemainingColumn(),
+            console=console,
+            transient=True,
+        )
+
+    def report(self, what: str, done: int, total: int) -> None:
+        if what not in self._tasks:
+            self._tasks[what] = self._progress.add_task(what, total=total)
+        self._progress.update(self._tasks[what], completed=done, total=total)
+        if not self._shown and self._clock() - self._start > PATIENCE:
+            self._shown = True
+            self._progress.start()
+
+    def close(self) -> None:
+        if self._shown:
+            self._progress.stop()
+
+
+class _Lines:
+    """At most a line every ``SPARSE`` seconds, and one when long work is done."""
+
+    def __init__(self, write: Callable[[str], None], clock: Callable[[], float]) -> None:
+        self._write = write
+        self._clock = clock
+        self._start = self._last = clock()
+
+    def report(self, what: str, done: int, total: int) -> None:
+        now = self._clock()
+        finished = done >= total and now - self._start > SPARSE
+        if now - self._last > SPARSE or finished:
+            self._last = now
+            share = 100.0 * done / max(total, 1)
+            self._write(f"{what}: {done}/{total} ({share:.0f} %), {now - self._start:.0f} s")
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON can hold it: lists for arrays, null for what is not a finite number."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    """Write machine-readable results; the file is whole or absent.
+
+    Raises:
+        PrtnetError: the file cannot be written.
+    """
+    text = json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False)
+    with writing(path) as partial:
+        partial.write_text(text + "\n", encoding="utf-8")

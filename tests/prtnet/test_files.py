@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from prtnet.errors import PrtnetError
+from prtnet.files import file_sha256, finish, writing
+
+
+def write(final: Path, text: str, error: BaseException | None = None) -> None:
+    """Write a file the way the house does, and fail half-way if asked to."""
+    with writing(final) as partial:
+        partial.write_text(text)
+        if error:
+            raise error
+
+
+def test_sha256_is_of_the_bytes(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"abc" * 100_000)
+    assert file_sha256(path) == hashlib.sha256(b"abc" * 100_000).hexdigest()
+
+
+def test_file_appears_whole(tmp_path: Path) -> None:
+    final = tmp_path / "out.txt"
+    with writing(final) as partial:
+        partial.write_text("half")
+        assert not final.exists()
+        assert partial.parent == final.parent  # a rename across file systems is a copy
+        assert partial.suffix == final.suffix  # writers that go by suffix choose the same format
+    assert final.read_text() == "half"
+    assert list(tmp_path.iterdir()) == [final]
+
+
+def test_old_file_survives_a_failure(tmp_path: Path) -> None:
+    final = tmp_path / "out.txt"
+    final.write_text("old")
+    with pytest.raises(ZeroDivisionError):
+        write(final, "half", ZeroDivisionError())
+    assert final.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [final]
+
+
+def test_interrupt_leaves_nothing(tmp_path: Path) -> None:
+    def stopped() -> None:
+        with writing(tmp_path / "out") as partial:
+            partial.mkdir()
+            (partial / "chunk").write_text("x")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_replaces_folder(tmp_path: Path) -> None:
+    final = tmp_path / "out.zarr"
+    final.mkdir()
+    (final / "stale").write_text("x")
+    with writing(final) as partial:
+        partial.mkdir()
+        (partial / "fresh").write_text("y")
+    assert [path.name for path in final.iterdir()] == ["fresh"]
+
+
+def test_missing_folder_is_one_line(tmp_path: Path) -> None:
+    final = tmp_path / "nowhere" / "out.txt"
+    with pytest.raises(PrtnetError, match=r"does not exist.*give another --out") as caught:
+        write(final, "x")
+    assert caught.value.subject == str(final)
+    assert "\n" not in str(caught.value)
+
+
+def test_operating_system_error_names_the_final_file(tmp_path: Path) -> None:
+    final = tmp_path / "out.txt"
+    with pytest.raises(PrtnetError, match="No space left") as caught:
+        write(final, "x", OSError(28, "No space left on device", str(tmp_path / "partial")))
+    assert caught.value.subject == str(final)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_finish_replaces_a_file_by_a_folder(tmp_path: Path) -> None:
+    final, partial = tmp_path / "a", tmp_path / "b"
+    final.write_text("old")
+    partial.mkdir()
+    finish(partial, final)
+    assert final.is_dir()
+    assert not partial.exists()
