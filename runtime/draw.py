@@ -1,0 +1,102 @@
+"""One picture of a surface, by OpenGL or by NumPy: the same camera, samples and light."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Literal, Protocol
+
+import numpy as np
+
+from prtnet.arrays import FloatArray
+from prtnet.errors import PrtnetError, nearest_name
+from runtime.camera import Camera
+from runtime.rasteriser import rasterise
+from runtime.shading import Surface, reflected_light
+
+__all__ = ["Renderer", "RendererName", "opened", "render"]
+
+RendererName = Literal["gl", "cpu"]
+
+
+class Renderer(Protocol):
+    """What both ways of drawing offer; see ``GLRenderer.draw``."""
+
+    def draw(
+        self, surface: Surface, light: FloatArray, matrix: FloatArray, size: tuple[int, int]
+    ) -> FloatArray:
+        """Linear colour and coverage, (H, W, 4) float32, one sample at every pixel's centre."""
+        ...
+
+
+class CPURenderer:
+    """The NumPy reference."""
+
+    def draw(
+        self, surface: Surface, light: FloatArray, matrix: FloatArray, size: tuple[int, int]
+    ) -> FloatArray:
+        """As ``GLRenderer.draw``."""
+        back = surface.back_transfer
+        return rasterise(
+            surface.positions,
+            surface.faces,
+            surface.transfer @ light,
+            matrix,
+            size,
+            None if back is None else back @ light,
+        )
+
+
+@contextlib.contextmanager
+def opened(name: str) -> Iterator[Renderer]:
+    """The renderer of that name, 'gl' or 'cpu', for as many pictures as wanted.
+
+    Raises:
+        PrtnetError: there is none of that name, or OpenGL is not available.
+    """
+    if name == "cpu":
+        yield CPURenderer()
+    elif name == "gl":
+        from runtime.gl import GLRenderer  # OpenGL is loaded where it is wanted
+
+        with GLRenderer() as renderer:
+            yield renderer
+    else:
+        raise PrtnetError("--renderer", f"'{name}' is unknown; {nearest_name(name, ['gl', 'cpu'])}")
+
+
+def render(
+    renderer: Renderer,
+    surface: Surface,
+    light: FloatArray,
+    camera: Camera,
+    size: tuple[int, int],
+    albedo: float | FloatArray = 0.8,
+    samples: int = 4,
+) -> FloatArray:
+    """A picture of a diffuse surface under a distant light.
+
+    Args:
+        renderer: from ``opened``.
+        surface: the mesh and its transfer.
+        light: SH coefficients of the environment's radiance, (n², 3) linear RGB.
+        camera: where from.
+        size: width and height in pixels.
+        albedo: a number or linear RGB (3,).
+        samples: a pixel, a square number: 4 draws at twice the size and averages.
+
+    Returns:
+        (H, W, 4) float32, top row first: linear colour times coverage, and coverage.
+    """
+    width, height = size
+    scale = round(samples**0.5)
+    if scale < 1 or scale * scale != samples:
+        raise ValueError(f"samples must be a square number, not {samples}")
+    fine = renderer.draw(
+        surface,
+        reflected_light(light, albedo),
+        camera.matrix(width / height),
+        (width * scale, height * scale),
+    )
+    rows = np.add.reduceat(fine, np.arange(0, height * scale, scale), axis=0)
+    return np.add.reduceat(rows, np.arange(0, width * scale, scale), axis=1) / np.float32(samples)

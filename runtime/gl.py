@@ -1,0 +1,216 @@
+"""The same picture by OpenGL, without a window: EGL, GLSL 3.30, nothing beyond WebGL 2's reach.
+
+The vertex shader fetches its vertex's transfer vector from a 2-D float texture, four coefficients a
+texel, and multiplies it with the light: the dot product an engine does. Colours stay linear floats
+until they are read back.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from types import TracebackType
+from typing import Any, Self
+
+import moderngl
+import numpy as np
+
+from prtnet.arrays import FloatArray
+from prtnet.errors import PrtnetError
+from runtime.shading import Surface
+
+__all__ = ["GLRenderer", "available"]
+
+TEXTURE_WIDTH = 2048  # texels; every WebGL 2 device has at least this
+
+VERTEX_SHADER = """#version 330
+const int TEXELS = $TEXELS;  // of one vertex, four coefficients each
+const int COLUMNS = $COLUMNS;  // vertices in a row of the texture
+
+uniform mat4 view_projection;
+uniform sampler2D front_transfer;
+uniform sampler2D back_transfer;
+uniform vec3 light[4 * TEXELS];  // times albedo / pi
+
+in vec3 position;
+out vec3 front;
+out vec3 back;
+
+vec3 radiance(sampler2D transfer) {
+    ivec2 first = ivec2((gl_VertexID % COLUMNS) * TEXELS, gl_VertexID / COLUMNS);
+    vec3 sum = vec3(0.0);
+    for (int k = 0; k < TEXELS; ++k) {
+        vec4 t = texelFetch(transfer, first + ivec2(k, 0), 0);
+        sum += t.x * light[4 * k] + t.y * light[4 * k + 1]
+             + t.z * light[4 * k + 2] + t.w * light[4 * k + 3];
+    }
+    return sum;
+}
+
+void main() {
+    front = radiance(front_transfer);
+    back = radiance(back_transfer);
+    gl_Position = view_projection * vec4(position, 1.0);
+}
+"""
+
+FRAGMENT_SHADER = """#version 330
+in vec3 front;
+in vec3 back;
+out vec4 colour;
+
+void main() {
+    colour = vec4(gl_FrontFacing ? front : back, 1.0);
+}
+"""
+
+
+def create_context() -> moderngl.Context:
+    """A context without a window.
+
+    Raises:
+        PrtnetError: there is no usable EGL.
+    """
+    try:
+        settings: dict[str, Any] = {"backend": "egl"}
+        return moderngl.create_context(require=330, standalone=True, **settings)
+    except Exception as error:  # glcontext raises bare Exception, OSError and ImportError
+        raise PrtnetError(
+            "--renderer gl",
+            f"OpenGL 3.3 through EGL is not available ({error}); install it with "
+            "scripts/system-gl.sh (Debian: libegl1 libgl1-mesa-dri) or use --renderer cpu",
+        ) from error
+
+
+def available() -> bool:
+    """Whether ``GLRenderer`` can be used here."""
+    try:
+        create_context().release()
+    except PrtnetError:
+        return False
+    return True
+
+
+class GLRenderer:
+    """Draws surfaces headless; a context manager that gives everything back at its end.
+
+    Raises:
+        PrtnetError: there is no usable EGL.
+    """
+
+    def __init__(self) -> None:
+        self._context = create_context()
+        self._programs: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the context and all that lives in it."""
+        with self._context:
+            for program in self._programs.values():
+                program.release()
+            self._programs.clear()
+        self._context.release()
+
+    def draw(
+        self, surface: Surface, light: FloatArray, matrix: FloatArray, size: tuple[int, int]
+    ) -> FloatArray:
+        """Shade every vertex with ``transfer · light`` and draw the mesh, both sides.
+
+        Args:
+            surface: the mesh and its transfer.
+            light: SH coefficients times albedo / π, (n², 3).
+            matrix: world to clip space, (4, 4), as ``Camera.matrix``.
+            size: width and height in pixels.
+
+        Returns:
+            (H, W, 4) float32, top row first: linear colour, 0 where nothing is, and coverage.
+
+        Raises:
+            PrtnetError: the picture or the mesh is larger than this OpenGL can hold.
+        """
+        limit = int(self._context.info["GL_MAX_TEXTURE_SIZE"])
+        if max(size) > limit:
+            message = f"{size[0]}x{size[1]} is more than this OpenGL draws ({limit}); ask for less"
+            raise PrtnetError("--size", message)
+        texels = texels_of(surface.transfer)
+        if -(-len(surface.positions) // (TEXTURE_WIDTH // texels)) > limit:
+            message = f"{len(surface.positions)} vertices do not fit a texture"
+            raise PrtnetError("--renderer gl", message + "; use --renderer cpu")
+        with self._context, contextlib.ExitStack() as made:
+            program = self._program(texels)
+            program["view_projection"].write(matrix.T.astype("f4").tobytes())
+            padded = np.zeros((4 * texels, 3), dtype="f4")
+            padded[: len(light)] = light
+            program["light"].write(padded.tobytes())
+            self._bind_transfer(program, surface, made)
+            return self._rasterise(program, surface, size, made)
+
+    def _program(self, texels: int) -> Any:
+        if texels not in self._programs:
+            columns = TEXTURE_WIDTH // texels
+            vertex = VERTEX_SHADER.replace("$TEXELS", str(texels))
+            self._programs[texels] = self._context.program(
+                vertex_shader=vertex.replace("$COLUMNS", str(columns)),
+                fragment_shader=FRAGMENT_SHADER,
+            )
+        return self._programs[texels]
+
+    def _bind_transfer(self, program: Any, surface: Surface, made: contextlib.ExitStack) -> None:
+        for unit, (name, transfer) in enumerate(
+            [("front_transfer", surface.transfer), ("back_transfer", surface.back_transfer)]
+        ):
+            program[name] = unit if transfer is not None else 0
+            if transfer is not None:
+                data = texture_data(transfer)
+                texture = self._context.texture(data.shape[1::-1], 4, data.tobytes(), dtype="f4")
+                made.callback(texture.release)
+                texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                texture.use(unit)
+
+    def _rasterise(
+        self, program: Any, surface: Surface, size: tuple[int, int], made: contextlib.ExitStack
+    ) -> FloatArray:
+        context = self._context
+        positions = context.buffer(np.ascontiguousarray(surface.positions, dtype="f4").tobytes())
+        made.callback(positions.release)
+        indices = context.buffer(np.ascontiguousarray(surface.faces, dtype="i4").tobytes())
+        made.callback(indices.release)
+        mesh = context.vertex_array(program, [(positions, "3f", "position")], indices)
+        made.callback(mesh.release)
+        colour = context.texture(size, 4, dtype="f4")
+        made.callback(colour.release)
+        depth = context.depth_renderbuffer(size)
+        made.callback(depth.release)
+        frame = context.framebuffer([colour], depth)
+        made.callback(frame.release)
+        frame.use()
+        frame.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
+        context.enable_only(moderngl.DEPTH_TEST)
+        mesh.render(moderngl.TRIANGLES)
+        pixels = np.frombuffer(frame.read(components=4, dtype="f4"), dtype="f4")
+        return pixels.reshape(size[1], size[0], 4)[::-1].copy()  # OpenGL's first row is the lowest
+
+
+def texels_of(transfer: FloatArray) -> int:
+    """Texels that hold one vertex's vector."""
+    return -(-transfer.shape[1] // 4)
+
+
+def texture_data(transfer: FloatArray) -> FloatArray:
+    """Transfer vectors (V, n²) laid out as a texture (rows, width, 4) of whole vertices a row."""
+    count, coefficients = transfer.shape
+    texels = texels_of(transfer)
+    columns = TEXTURE_WIDTH // texels
+    rows = -(-count // columns)
+    data = np.zeros((rows * columns, 4 * texels), dtype="f4")
+    data[:count, :coefficients] = transfer
+    return data.reshape(rows, columns * texels, 4)
