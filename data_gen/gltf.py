@@ -84,11 +84,10 @@ class Piece:
         count = len(self.primitive.positions)
         joints, weights = self.primitive.joints, self.primitive.weights
         if joints is None or weights is None:
-            columns, values, width = np.repeat(self.slots[:1], count), np.ones(count), 1
-        else:
-            columns, values, width = self.slots[joints].ravel(), weights.ravel(), joints.shape[1]
-        rows = np.repeat(np.arange(count), width)
-        return scipy.sparse.coo_array((values, (rows, columns)), shape=(count, bones))
+            joints, weights = np.zeros((count, 1), dtype=int), np.ones((count, 1))
+        rows = np.repeat(np.arange(count), joints.shape[1])
+        entries = weights.ravel(), (rows, self.slots[joints].ravel())
+        return scipy.sparse.coo_array(entries, shape=(count, bones))
 
 
 def read_gltf(path: Path) -> SkinnedScene:

@@ -17,6 +17,7 @@ from prtnet.scene import face_normals, unit
 __all__ = ["Primitive", "read_primitive"]
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
+ROUNDING = 1e-6  # what is one to float32 stays as it is, so that a file written again is the same
 DRACO = "KHR_draco_mesh_compression"
 
 
@@ -76,7 +77,9 @@ def read_primitive(element: Element, buffers: Buffers) -> Primitive | None:
     count = len(positions)
     normals = None
     if "NORMAL" in attributes:
-        normals = unit(vectors(attributes, "NORMAL", buffers, count))
+        given = vectors(attributes, "NORMAL", buffers, count)
+        long = np.abs(np.linalg.norm(given, axis=1, keepdims=True) - 1.0) > ROUNDING
+        normals = np.where(long, unit(given), given)
     joints, weights = influences(attributes, buffers, count)
     targets = tuple(
         np.stack([vectors(target, name, buffers, count) for name in ("POSITION", "NORMAL")])
@@ -117,7 +120,8 @@ def influences(
     weight = np.maximum(np.concatenate(weights, axis=1), 0.0)
     total = weight.sum(axis=1)
     weight[total == 0, 0] = 1.0
-    return np.concatenate(joints, axis=1), weight / np.where(total == 0, 1.0, total)[:, None]
+    kept = (total == 0) | (np.abs(total - 1.0) <= ROUNDING)
+    return np.concatenate(joints, axis=1), weight / np.where(kept, 1.0, total)[:, None]
 
 
 def triangles(element: Element, buffers: Buffers, mode: int, count: int) -> IntArray:

@@ -16,6 +16,8 @@ from prtnet.arrays import FloatArray, IntArray
 
 __all__ = ["Channel", "Clip", "LocalPose", "Rig", "quaternion_to_matrix", "slerp"]
 
+FLOAT32_ROUNDING = 2.0**-23
+
 Path = Literal["translation", "rotation", "scale", "weights"]
 Interpolation = Literal["LINEAR", "STEP", "CUBICSPLINE"]
 
@@ -60,7 +62,7 @@ class Channel:
     Attributes:
         node: index into the rig's nodes.
         path: which property.
-        times: key times in seconds, strictly increasing, (K,).
+        times: key times in seconds, increasing, (K,); of equal times the last counts from there on.
         values: (K, D), or (K, 3, D) in-tangent, value, out-tangent for CUBICSPLINE.
         interpolation: how to go from key to key; the ends hold their value.
     """
@@ -75,13 +77,16 @@ class Channel:
         """Values (P, D) at ``times`` (P,) in seconds."""
         keys = self.times
         t = np.clip(times, keys[0], keys[-1])
-        right = np.clip(np.searchsorted(keys, t, side="right"), 1, max(len(keys) - 1, 1))
+        # Files hold times as float32: what lies within its rounding of a key is at that key.
+        reached = np.searchsorted(keys, t + FLOAT32_ROUNDING * np.abs(t), side="right")
+        right = np.clip(reached, 1, max(len(keys) - 1, 1))
         left = right - 1
         right = np.minimum(right, len(keys) - 1)
         span = keys[right] - keys[left]
-        u = np.where(span > 0, (t - keys[left]) / np.where(span > 0, span, 1.0), 0.0)
+        u = np.where(span > 0, (t - keys[left]) / np.where(span > 0, span, 1.0), 1.0)
+        u = np.where(reached >= len(keys), 1.0, np.maximum(u, 0.0))
         if self.interpolation == "STEP":
-            # ``u`` reaches 1 only at the last key.
+            # ``u`` is 1 only at the last key.
             result = self.values[np.where(u >= 1.0, right, left)]
         elif self.interpolation == "CUBICSPLINE":
             result = self._hermite(left, right, u, span)
@@ -167,15 +172,14 @@ class Rig:
     weights: FloatArray
     weights_of_node: dict[int, slice]
 
+    def rest(self, count: int = 1) -> LocalPose:
+        """The rest pose, ``count`` times."""
+        arrays = (self.translation, self.rotation, self.scale, self.weights)
+        return LocalPose(*(np.repeat(np.array(a, float)[None], count, axis=0) for a in arrays))
+
     def sample(self, clip: Clip, times: FloatArray) -> LocalPose:
         """The clip's local poses at ``times`` (P,); nodes it does not move stay at rest."""
-        count = len(times)
-        pose = LocalPose(
-            *(
-                np.repeat(np.asarray(rest, dtype=np.float64)[None], count, axis=0)
-                for rest in (self.translation, self.rotation, self.scale, self.weights)
-            )
-        )
+        pose = self.rest(len(times))
         for channel in clip.channels:
             values = channel.sample(times)
             if channel.path == "weights":
@@ -184,15 +188,19 @@ class Rig:
                 getattr(pose, channel.path)[:, channel.node] = values
         return pose
 
-    def model_matrices(self, pose: LocalPose) -> FloatArray:
-        """Model-space matrices (P, N, 4, 4) of all nodes, float64."""
+    def local_matrices(self, pose: LocalPose) -> FloatArray:
+        """Matrices (P, N, 4, 4) of all nodes relative to their parents, float64."""
         count, nodes = pose.translation.shape[:2]
         local = np.zeros((count, nodes, 4, 4))
         local[..., :3, :3] = quaternion_to_matrix(pose.rotation) * pose.scale[..., None, :]
         local[..., :3, 3] = pose.translation
         local[..., 3, 3] = 1.0
-        local = local @ self.offset
+        return local @ self.offset
+
+    def model_matrices(self, pose: LocalPose) -> FloatArray:
+        """Model-space matrices (P, N, 4, 4) of all nodes, float64."""
+        matrices = self.local_matrices(pose)
         for node, parent in enumerate(self.parents):
             if parent >= 0:
-                local[:, node] = local[:, parent] @ local[:, node]
-        return local
+                matrices[:, node] = matrices[:, parent] @ matrices[:, node]
+        return matrices
