@@ -1,0 +1,232 @@
+"""Scenes in, visibility datasets out: ``prtnet generate``.
+
+Worker threads take whole poses: geometry, acceleration structure, rays, projection. The main thread
+collects them in order and writes a block of poses at a time. Memory is bounded by the block and
+the number of threads, not by the number of poses.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+from data_gen.pose_plan import PosePlan, plan_poses
+from data_gen.visibility import PoseTracer, TracedPose
+from prtnet.dataset import Block, DatasetWriter
+from prtnet.errors import PrtnetError
+from prtnet.frames import FrameField, rest_tangents
+from prtnet.scene import PointCacheScene, Receivers, Scene, SkinnedScene
+
+__all__ = ["GenerateConfig", "GenerateSummary", "Progress", "generate"]
+
+Progress = Callable[[int, int], None]  # poses done, poses in all
+
+DEFAULT_FPS = 10.0  # neighbouring frames of 30 are nearly alike and cost three times the rays
+
+
+@dataclass(frozen=True)
+class GenerateConfig:
+    """Options of `prtnet generate`."""
+
+    clips: tuple[str, ...] = ()
+    """Clips to trace; all of them when none are named."""
+    holdout: tuple[str, ...] = ()
+    """Clips among them to keep from training, for evaluation."""
+    fps: float | None = None
+    """Poses a second of every clip; 10 when neither this nor a count is given."""
+    count: int | None = None
+    """Poses of every clip, evenly spaced, instead of a rate."""
+    order: int = 4
+    """Bands of the spherical harmonics: order² coefficients a receiver."""
+    rays: int = 512
+    """Rays a receiver, over the hemisphere above it."""
+    sample: int = 0
+    """Poses beyond the clips, recombined from the limbs of the training clips."""
+    two_sided: bool = False
+    """Trace the back of the surface too: for cloth."""
+    seed: int = 0
+    """Of the sampled poses."""
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Threads that trace."""
+    block: int = 8
+    """Poses written at a time: one chunk of every array."""
+
+    def check(self) -> None:
+        """Raise PrtnetError where a value is impossible."""
+        for name, low in (("order", 1), ("rays", 1), ("threads", 1), ("block", 1), ("sample", 0)):
+            if getattr(self, name) < low:
+                raise PrtnetError(f"--{name}", f"must be at least {low}")
+        if self.fps is not None and self.count is not None:
+            raise PrtnetError("--fps", "and --count exclude each other; give one")
+        if self.fps is not None and not 0 < self.fps < float("inf"):
+            raise PrtnetError("--fps", "must be a positive number")
+        if self.count is not None and self.count < 1:
+            raise PrtnetError("--count", "must be at least 1")
+
+
+@dataclass(frozen=True)
+class GenerateSummary:
+    """What a run of ``generate`` did."""
+
+    path: Path
+    poses: int  # in the dataset
+    resumed: int  # of those, found from an earlier run that was stopped
+    receivers: int
+    rays: int  # traced in this run
+    seconds: float
+
+
+def generate(
+    scene: Scene,
+    config: GenerateConfig,
+    out: str | Path,
+    progress: Progress | None = None,
+) -> GenerateSummary:
+    """Trace visibility over the poses of a scene and write the dataset ``out``.
+
+    An equal run that was stopped is gone on with.
+
+    Raises:
+        PrtnetError: impossible options, unknown clips, or ``out`` cannot be written.
+    """
+    config.check()
+    started = time.perf_counter()
+    plan = plan_poses(
+        scene,
+        config.clips,
+        config.holdout,
+        config.fps if config.fps or config.count else DEFAULT_FPS,
+        config.count,
+        config.sample,
+        config.seed,
+    )
+    receivers = scene.receivers(config.two_sided)
+    tangents = rest_tangents(scene, receivers)
+    attributes, fixed = describe(scene, config, plan, receivers, tangents)
+    writer = DatasetWriter(out, attributes, fixed, len(plan), config.block)
+    tracer = PoseTracer(
+        scene, receivers, FrameField(scene, receivers, tangents), config.order, config.rays
+    )
+    missing = writer.missing()
+    todo = sum(len(range(len(plan))[writer.span(block)]) for block in missing)
+    done = len(plan) - todo
+    report = progress or silent
+    report(done, len(plan))
+    # BLAS would start threads of its own in every worker.
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(config.threads) as pool:
+        for block, values in traced_blocks(plan, writer, missing, tracer, pool, config.threads):
+            writer.write(block, values)
+            done += len(values.clip)
+            report(done, len(plan))
+    path = writer.finish()
+    return GenerateSummary(
+        path=path,
+        poses=len(plan),
+        resumed=len(plan) - todo,
+        receivers=len(receivers),
+        rays=todo * len(receivers) * config.rays,
+        seconds=time.perf_counter() - started,
+    )
+
+
+def silent(done: int, total: int) -> None:
+    """Progress nobody asked for."""
+
+
+def traced_blocks(
+    plan: PosePlan,
+    writer: DatasetWriter,
+    blocks: Sequence[int],
+    tracer: PoseTracer,
+    pool: ThreadPoolExecutor,
+    threads: int,
+) -> Iterator[tuple[int, Block]]:
+    """Blocks in order; the pool is at most two poses a thread ahead of the block being filled."""
+    spans = [(block, index) for block in blocks for index in range(len(plan))[writer.span(block)]]
+    ahead: list[Future[TracedPose]] = []
+    coming = iter(spans)
+
+    def submit() -> None:
+        for _, index in coming:
+            pose = plan.poses(slice(index, index + 1))[0][0]
+            ahead.append(pool.submit(tracer, pose))
+            if len(ahead) >= 2 * threads:
+                break
+
+    try:
+        for block in blocks:
+            span = writer.span(block)
+            poses, sources = plan.poses(span)
+            traced = []
+            for _ in range(len(poses)):
+                submit()
+                traced.append(ahead.pop(0).result())
+            submit()
+            yield block, assemble(plan, span, poses, sources, traced)
+    finally:
+        for future in ahead:
+            future.cancel()
+
+
+def assemble(
+    plan: PosePlan, span: slice, poses: Any, sources: Any, traced: Sequence[TracedPose]
+) -> Block:
+    """One block of the dataset."""
+    return Block(
+        visibility=np.stack([pose.visibility for pose in traced]),
+        pose=poses,
+        positions=np.stack([pose.positions for pose in traced]),
+        normals=np.stack([pose.normals for pose in traced]),
+        tangents=np.stack([pose.tangents for pose in traced]),
+        clip=plan.clip[span],
+        time=plan.time[span].astype(np.float32),
+        sources=sources,
+    )
+
+
+def describe(
+    scene: Scene, config: GenerateConfig, plan: PosePlan, receivers: Receivers, tangents: Any
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The attributes of a dataset, and its arrays that no pose changes."""
+    rest = receivers.gather(scene.rest())
+    skinned = scene if isinstance(scene, SkinnedScene) else None
+    attributes: dict[str, Any] = {
+        "order": config.order,
+        "rays": config.rays,
+        "seed": config.seed,
+        "fps": config.fps,
+        "count": config.count,
+        "sample": config.sample,
+        "two_sided": config.two_sided,
+        "scene_kind": "skinned" if skinned else "point_cache",
+        "scene_name": scene.name,
+        "scene_sha256": scene.sha256,
+        "mesh_sha256": scene.mesh_sha256,
+        "clip_names": list(plan.clip_names),
+        "held_out": list(plan.held_out),
+        "joint_names": list(skinned.joint_names) if skinned else [],
+        "morph_count": skinned.morph_count if skinned else 0,
+    }
+    fixed: dict[str, Any] = {
+        "faces": np.asarray(scene.faces, dtype=np.int32),
+        "receiver_of_vertex": np.asarray(receivers.of_vertex, dtype=np.int32),
+        "receiver_side": receivers.side,
+        "rest_positions": rest.positions[0],
+        "rest_normals": rest.normals[0],
+        "rest_tangents": tangents,
+    }
+    if skinned:
+        fixed["rest_pose"] = skinned.rest_pose()[0]
+        fixed["joint_weights"] = skinned.joint_weights[receivers.vertex]
+        fixed["joint_parents"] = np.asarray(skinned.joint_parents, dtype=np.int32)
+    elif isinstance(scene, PointCacheScene):
+        fixed["rest_pose"] = np.asarray(scene.frames[0], dtype=np.float32).ravel()
+    return attributes, fixed

@@ -1,0 +1,126 @@
+"""Poses beyond the clips: limbs from different moments, blended, a little disturbed, kept in range.
+
+The joints are cut into branches: arms, legs, trunk, head (``data_gen.branches``). Each branch
+takes its local transforms from a random moment of the training clips, half of the time from the way
+between two moments; so does the root, which places the whole body. Noise is added, and every joint
+is kept within the range it was seen in. Half of the poses take all their branches from one clip, so
+that a model can still be validated on clips it was not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from data_gen.branches import branches
+from prtnet.animation import Clip, LocalPose, slerp
+from prtnet.arrays import BoolArray, FloatArray, IntArray
+from prtnet.errors import PrtnetError
+from prtnet.scene import Scene, SkinnedScene
+
+__all__ = ["PoseSampler"]
+
+LIBRARY_FPS = 30.0  # moments a second that limbs are taken from
+LIBRARY_MOMENTS = 3000  # at most, over all clips
+NOISE = 0.04  # radians
+STILL = 1e-3  # radians: joints that turn less never move
+BLENDED = 0.5  # share of branches on the way between two moments
+ONE_CLIP = 0.5  # share of poses of a single clip
+
+
+class PoseSampler:
+    """Makes sampled poses by number: pose k is the same in whatever company it is asked for.
+
+    Args:
+        scene: a skinned scene.
+        clips: what to recombine.
+        seed: of everything random.
+
+    Raises:
+        PrtnetError: the scene has no joints.
+    """
+
+    def __init__(self, scene: Scene, clips: Sequence[Clip], seed: int) -> None:
+        if not isinstance(scene, SkinnedScene):
+            raise PrtnetError(
+                "--sample", "recombines the limbs of skinned scenes; a point cache has none"
+            )
+        self.scene, self.clips, self.seed = scene, tuple(clips), seed
+        self._moments, self._clip = library(scene, clips)
+        self._branch = branches(scene, self._moments)
+        self._mean = mean_rotations(self._moments.rotation)
+        turns = self._turns(self._moments.rotation)
+        self._lowest, self._highest = turns.min(axis=0), turns.max(axis=0)  # [N, 3]
+        moving = np.max(self._highest - self._lowest, axis=1) > STILL
+        self._noise = np.where(moving, NOISE, 0.0)[:, None]
+        weights = self._moments.weights
+        self._morphs = (weights.min(axis=0), weights.max(axis=0)) if weights.size else None
+
+    def sample(self, numbers: IntArray) -> tuple[FloatArray, BoolArray]:
+        """Flattened poses (P, D) float32, and the clips each is made of, (P, clips)."""
+        drawn = [self._draw(int(number)) for number in numbers]
+        fields = ("translation", "rotation", "scale", "weights")
+        local = LocalPose(*(np.stack([getattr(pose, f)[0] for pose, _ in drawn]) for f in fields))
+        return self.scene.flatten(local), np.stack([used for _, used in drawn])
+
+    def _draw(self, number: int) -> tuple[LocalPose, BoolArray]:
+        rng = np.random.default_rng((self.seed, number))
+        allowed = np.arange(len(self._clip))
+        if rng.random() < ONE_CLIP:
+            allowed = np.flatnonzero(self._clip == self._clip[rng.integers(len(allowed))])
+        slots = int(self._branch.max()) + 2  # one for each branch, and one for the morph weights
+        first, second = rng.choice(allowed, (2, slots))
+        share = np.where(rng.random(slots) < BLENDED, rng.random(slots), 0.0)
+        used = np.zeros(len(self.clips), dtype=bool)
+        used[self._clip[np.concatenate([first, second[share > 0]])]] = True
+
+        nodes = np.arange(len(self._branch))
+        a, b, u = first[self._branch], second[self._branch], share[self._branch]
+        m = self._moments
+        rotation = slerp(m.rotation[a, nodes], m.rotation[b, nodes], u)
+        noise = self._noise * rng.standard_normal((len(nodes), 3))
+        turns = np.clip(self._turns(rotation) + noise, self._lowest, self._highest)
+        rotation = (self._mean * Rotation.from_rotvec(turns)).as_quat()
+        place, scale = (
+            (1 - u)[:, None] * x[a, nodes] + u[:, None] * x[b, nodes]
+            for x in (m.translation, m.scale)
+        )
+        weights = self._draw_weights(rng, first[-1], second[-1], share[-1])
+        return LocalPose(place[None], rotation[None], scale[None], weights[None]), used
+
+    def _draw_weights(
+        self, rng: np.random.Generator, first: int, second: int, share: float
+    ) -> FloatArray:
+        weights = (1 - share) * self._moments.weights[first]
+        weights = weights + share * self._moments.weights[second]
+        if self._morphs is None:
+            return weights
+        low, high = self._morphs
+        noise = NOISE * (high - low) * rng.standard_normal(len(weights))
+        return np.clip(weights + noise, low, high)
+
+    def _turns(self, rotation: FloatArray) -> FloatArray:
+        """Rotation vectors (…, N, 3) from the mean rotation of each node."""
+        mean = np.broadcast_to(self._mean.inv().as_quat(), rotation.shape)
+        relative = Rotation.from_quat(mean.reshape(-1, 4)) * Rotation.from_quat(
+            rotation.reshape(-1, 4)
+        )
+        return relative.as_rotvec().reshape(*rotation.shape[:-1], 3)
+
+
+def library(scene: SkinnedScene, clips: Sequence[Clip]) -> tuple[LocalPose, IntArray]:
+    """Local poses at moments of the clips, and the index of each moment's clip."""
+    duration = sum(clip.duration for clip in clips)
+    fps = min(LIBRARY_FPS, LIBRARY_MOMENTS / max(duration, 1e-9))
+    poses = [scene.rig.sample(clip, clip.times(fps)) for clip in clips]
+    fields = ("translation", "rotation", "scale", "weights")
+    merged = LocalPose(*(np.concatenate([getattr(p, f) for p in poses]) for f in fields))
+    return merged, np.repeat(np.arange(len(poses)), [len(pose) for pose in poses])
+
+
+def mean_rotations(quaternions: FloatArray) -> Rotation:
+    """The mean rotation of each node over all moments: the largest eigenvector of Σ q qᵀ."""
+    products = np.einsum("mni,mnj->nij", quaternions, quaternions)
+    return Rotation.from_quat(np.linalg.eigh(products)[1][..., -1])

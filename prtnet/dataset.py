@@ -1,0 +1,362 @@
+"""Datasets of visibility over poses: a Zarr v3 group, read and written by blocks of poses.
+
+The arrays and attributes are listed in docs/formats.md. A chunk is a block of poses, so a block is
+written without touching another, and a stopped run goes on where it was: the group grows in a
+hidden folder beside its final name, each whole block leaves an empty marker file there, and the
+folder is renamed when all blocks are whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from zarr.codecs import BloscCodec, BloscShuffle
+
+from prtnet.arrays import FloatArray, IntArray
+from prtnet.errors import PrtnetError
+from prtnet.files import finish, remove
+
+__all__ = ["FORMAT_VERSION", "SAMPLED", "Block", "Dataset", "DatasetWriter", "Rows"]
+
+FORMAT_VERSION = 1
+SAMPLED = "sampled"  # the name of the clip that sampled poses belong to
+MARKERS = ".whole-blocks"
+POSE_ARRAYS = (
+    "visibility", "pose", "positions", "normals", "tangents", "clip", "time", "sources",
+)  # fmt: skip
+FIXED_ARRAYS = (
+    "faces", "receiver_of_vertex", "receiver_side",
+    "rest_positions", "rest_normals", "rest_tangents", "rest_pose",
+)  # fmt: skip
+ATTRIBUTES = (
+    "order", "rays", "seed", "two_sided", "scene_kind", "scene_name", "scene_sha256",
+    "mesh_sha256", "clip_names", "held_out", "joint_names", "morph_count",
+)  # fmt: skip
+SKIN_ARRAYS = ("joint_weights", "joint_parents")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Block:
+    """Consecutive poses with everything a dataset holds of each."""
+
+    visibility: FloatArray  # [P, V, n²] float32, local frames
+    pose: FloatArray  # [P, D] float32
+    positions: FloatArray  # [P, V, 3] float32, receivers in model space
+    normals: FloatArray  # [P, V, 3] float32, unit
+    tangents: FloatArray  # [P, V, 3] float32, unit
+    clip: IntArray  # [P] int32, index into the clip names
+    time: FloatArray  # [P] float32 seconds in the clip; 0 for sampled poses
+    sources: np.ndarray[Any, np.dtype[np.bool_]]  # [P, clips] which clips the pose is made of
+
+
+class Rows:
+    """An array of a dataset, read by pose: ``rows[3]``, ``rows[8:16]`` or ``rows[[1, 5]]``."""
+
+    def __init__(self, array: zarr.Array[Any], path: Path) -> None:
+        self._array, self._path = array, path
+        self.shape: tuple[int, ...] = array.shape
+        self.dtype = array.dtype
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, index: int | slice | IntArray) -> Any:
+        try:
+            if isinstance(index, (int, slice)):
+                return np.asarray(self._array[index])
+            return np.asarray(self._array.oindex[np.arange(len(self))[index]])
+        except (ValueError, RuntimeError, OSError) as error:
+            raise PrtnetError(
+                self._path, f"array '{self._array.basename}' is damaged; generate it again"
+            ) from error
+
+
+def array_of(group: zarr.Group, name: str) -> zarr.Array[Any]:
+    """A member of a group that has to be an array."""
+    member = group[name]
+    if not isinstance(member, zarr.Array):
+        raise KeyError(name)
+    return member
+
+
+class Dataset:
+    """A finished dataset, open for reading.
+
+    The attributes of the Zarr group and the arrays that no pose changes are attributes here;
+    arrays of poses are ``Rows``.
+
+    Attributes:
+        path: the Zarr group's folder.
+        attributes: all attributes of the group.
+    """
+
+    order: int  # n of the spherical harmonics
+    rays: int  # traced for each receiver, above the horizon
+    seed: int
+    two_sided: bool
+    scene_kind: str  # "skinned" or "point_cache"
+    scene_name: str
+    scene_sha256: str
+    mesh_sha256: str
+    clip_names: list[str]  # with SAMPLED last where there are sampled poses
+    held_out: list[str]
+    joint_names: list[str]
+    morph_count: int
+    faces: IntArray  # [T, 3] over render vertices
+    receiver_of_vertex: IntArray  # [V_render] front receivers
+    receiver_side: IntArray  # [V] +1 front, −1 back
+    rest_positions: FloatArray  # [V, 3]
+    rest_normals: FloatArray  # [V, 3]
+    rest_tangents: FloatArray  # [V, 3]
+    rest_pose: FloatArray  # [D]
+    joint_weights: FloatArray | None  # [V, J]; None for point caches
+    joint_parents: IntArray | None  # [J]
+
+    def __init__(self, path: Path, group: zarr.Group) -> None:
+        self.path = path
+        self.attributes: dict[str, Any] = dict(group.attrs)
+        self._group = group
+        self.joint_weights = self.joint_parents = None
+        for name in ATTRIBUTES:
+            setattr(self, name, self.attributes[name])
+        for name in FIXED_ARRAYS + (SKIN_ARRAYS if self.scene_kind == "skinned" else ()):
+            setattr(self, name, self.read(name))
+
+    @classmethod
+    def open(cls, path: str | Path) -> Dataset:
+        """Open the dataset at ``path``.
+
+        Raises:
+            PrtnetError: there is none, it is of another format version, or it is not whole.
+        """
+        path = Path(path)
+        if not path.exists():
+            raise PrtnetError(path, "does not exist; make it with prtnet generate")
+        try:
+            group = zarr.open_group(str(path), mode="r", zarr_format=3)
+            version = dict(group.attrs).get("format_version")
+        except (zarr.errors.GroupNotFoundError, OSError, ValueError, KeyError) as error:
+            raise PrtnetError(path, "is not a dataset; make one with prtnet generate") from error
+        if version is None:
+            raise PrtnetError(path, "is not a dataset; make one with prtnet generate")
+        if version != FORMAT_VERSION:
+            raise PrtnetError(
+                path,
+                f"is a dataset of another format version ({version}, this program reads "
+                f"{FORMAT_VERSION}); generate it again",
+            )
+        try:
+            dataset = cls(path, group)
+            arrays = [array_of(group, name) for name in POSE_ARRAYS]
+        except KeyError as error:
+            raise PrtnetError(path, f"has no {error}; generate it again") from error
+        for array in arrays:
+            short = array.shape[0] != arrays[0].shape[0]
+            if short or array.nchunks_initialized != array.nchunks:
+                raise PrtnetError(path, f"array '{array.basename}' is not whole; generate it again")
+        return dataset
+
+    def rows(self, name: str) -> Rows:
+        """One of the arrays whose leading axis is the pose."""
+        return Rows(array_of(self._group, name), self.path)
+
+    def read(self, name: str, index: int | slice | IntArray | None = None) -> Any:
+        """The poses ``index`` of an array, or all of it."""
+        return self.rows(name)[slice(None) if index is None else index]
+
+    @cached_property
+    def visibility(self) -> Rows:
+        """Local-frame visibility (P, V, n²)."""
+        return self.rows("visibility")
+
+    @cached_property
+    def poses(self) -> Rows:
+        """Flattened poses (P, D)."""
+        return self.rows("pose")
+
+    @cached_property
+    def positions(self) -> Rows:
+        """Receivers in model space (P, V, 3)."""
+        return self.rows("positions")
+
+    @cached_property
+    def normals(self) -> Rows:
+        """Outward unit normals (P, V, 3)."""
+        return self.rows("normals")
+
+    @cached_property
+    def tangents(self) -> Rows:
+        """Unit tangents (P, V, 3); the bitangent is normal × tangent."""
+        return self.rows("tangents")
+
+    @cached_property
+    def clip(self) -> IntArray:
+        """Index of each pose's clip in ``clip_names``, (P,)."""
+        return self.read("clip")
+
+    @cached_property
+    def time(self) -> FloatArray:
+        """Seconds in the clip, (P,); 0 for sampled poses."""
+        return self.read("time")
+
+    @property
+    def pose_size(self) -> int:
+        """Length D of a flattened pose."""
+        return self.poses.shape[1]
+
+    def __len__(self) -> int:
+        return len(self.visibility)
+
+    def held_out_poses(self) -> IntArray:
+        """Indices of the poses of held-out clips."""
+        held = [self.clip_names.index(name) for name in self.held_out]
+        return np.flatnonzero(np.isin(self.clip, held))
+
+    def training_poses(self) -> IntArray:
+        """Indices of all other poses, sampled ones among them."""
+        return np.setdiff1d(np.arange(len(self)), self.held_out_poses())
+
+    def poses_of(self, clip: str) -> IntArray:
+        """Indices of the poses of a clip."""
+        return np.flatnonzero(self.clip == self.clip_names.index(clip))
+
+
+class DatasetWriter:
+    """Writes a dataset block by block; goes on where an equal run was stopped.
+
+    Args:
+        path: the final folder.
+        attributes: those of the group, without the format version.
+        fixed: the arrays that no pose changes, by name.
+        poses: number of poses P.
+        block: poses a block.
+
+    Raises:
+        PrtnetError: the folder cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        attributes: Mapping[str, Any],
+        fixed: Mapping[str, np.ndarray[Any, Any]],
+        poses: int,
+        block: int,
+    ) -> None:
+        self.path = Path(path)
+        self.poses, self.block = poses, block
+        self.partial = self.path.with_name(f".{self.path.name}.partial")
+        self._markers = self.partial / MARKERS
+        fingerprint = fingerprint_of(attributes, fixed, poses, block)
+        with self._disk():
+            if not self.path.parent.is_dir():
+                raise FileNotFoundError(2, f"the folder {self.path.parent} does not exist")
+            started = self._markers / fingerprint
+            self.resumed = started.exists()
+            if self.resumed:
+                self._group = zarr.open_group(str(self.partial), mode="r+", zarr_format=3)
+                return
+            remove(self.partial)
+            self._group = zarr.create_group(str(self.partial), zarr_format=3)
+            self._create(dict(attributes), fixed)
+            self._markers.mkdir()
+            started.touch()
+
+    def _create(
+        self, attributes: dict[str, Any], fixed: Mapping[str, np.ndarray[Any, Any]]
+    ) -> None:
+        self._group.attrs.update({"format_version": FORMAT_VERSION, **attributes})
+        for name, value in fixed.items():
+            array = np.ascontiguousarray(value)
+            whole = tuple(max(size, 1) for size in array.shape)
+            self._array(name, array.shape, whole, array.dtype)[...] = array
+        receivers, size = len(fixed["receiver_side"]), len(fixed["rest_pose"])
+        rows: dict[str, tuple[tuple[int, ...], str]] = {
+            "visibility": ((receivers, attributes["order"] ** 2), "float32"),
+            "pose": ((size,), "float32"),
+            "positions": ((receivers, 3), "float32"),
+            "normals": ((receivers, 3), "float32"),
+            "tangents": ((receivers, 3), "float32"),
+            "clip": ((), "int32"),
+            "time": ((), "float32"),
+            "sources": ((len(attributes["clip_names"]),), "bool"),
+        }
+        for name, (shape, dtype) in rows.items():
+            self._array(name, (self.poses, *shape), (self.block, *shape), np.dtype(dtype))
+
+    def _array(
+        self, name: str, shape: tuple[int, ...], chunks: tuple[int, ...], dtype: np.dtype[Any]
+    ) -> zarr.Array[Any]:
+        return self._group.create_array(
+            name,
+            shape=shape,
+            chunks=chunks,
+            dtype=dtype,
+            compressors=BloscCodec(cname="lz4", clevel=1, shuffle=BloscShuffle.shuffle),
+        )
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks in all."""
+        return -(-self.poses // self.block)
+
+    def span(self, block: int) -> slice:
+        """The poses of a block."""
+        return slice(block * self.block, min((block + 1) * self.block, self.poses))
+
+    def missing(self) -> list[int]:
+        """Blocks that are not written yet."""
+        return [block for block in range(self.blocks) if not self._marker(block).exists()]
+
+    def write(self, block: int, values: Block) -> None:
+        """Write one block, and then its marker. Different blocks may be written at once."""
+        with self._disk():
+            for name in POSE_ARRAYS:
+                array_of(self._group, name)[self.span(block)] = getattr(values, name)
+            self._marker(block).touch()
+
+    def finish(self) -> Path:
+        """Put the dataset under its final name, replacing what stood there."""
+        with self._disk():
+            remove(self._markers)
+            finish(self.partial, self.path)
+        return self.path
+
+    def _marker(self, block: int) -> Path:
+        return self._markers / str(block)
+
+    @contextlib.contextmanager
+    def _disk(self) -> Iterator[None]:
+        try:
+            # A chunk that is missing is then always a damaged copy.
+            with zarr.config.set({"array.write_empty_chunks": True}):
+                yield
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise PrtnetError(
+                self.path, f"cannot be written ({reason}); give another --out"
+            ) from error
+
+
+def fingerprint_of(
+    attributes: Mapping[str, Any],
+    fixed: Mapping[str, np.ndarray[Any, Any]],
+    poses: int,
+    block: int,
+) -> str:
+    """SHA-256 of everything that decides what a dataset will hold."""
+    header = [FORMAT_VERSION, poses, block, dict(attributes)]
+    digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
+    for name in sorted(fixed):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(fixed[name]).tobytes())
+    return digest.hexdigest()
