@@ -104,17 +104,14 @@ def read_runs(
     out = bytearray()
     limit = len(data)
     while len(out) < count:
-        if position + 1 >= limit:
+        code = data[position] if position < limit else 1
+        length, size = (code - 128, 1) if code > 128 else (code, code)
+        values = data[position + 1 : position + 1 + size]
+        if len(values) < size:
             raise PrtnetError(path, "ends before its last pixel; fetch or write it again")
-        code = data[position]
-        if code > 128:
-            length, used = code - 128, 2
-            out += bytes(data[position + 1 : position + 2]) * length
-        else:
-            length, used = code, 1 + code
-            out += data[position + 1 : position + used]
-        position += used
-        start = len(out) - length
-        if length == 0 or position > limit or start // width != (len(out) - 1) // width:
+        start = len(out)
+        if length == 0 or start // width != (start + length - 1) // width:
             raise PrtnetError(path, "is damaged: a run is empty or too long; fetch it again")
+        out += bytes(values) * length if code > 128 else values
+        position += 1 + size
     return out, position

@@ -117,6 +117,7 @@ PRESETS = {
 }
 
 HDR_SUFFIXES = (".hdr", ".pic", ".rgbe")
+BRIGHTEST = 1e30  # products with transfer must still be 32-bit floats
 BLOCK = 64  # rows of a picture at a time
 
 
@@ -143,10 +144,9 @@ def load_light(name_or_path: str | Path, order: int = 4, dering: float = 0.0) ->
     else:
         known = nearest_name(name, PRESETS)
         raise PrtnetError("--light", f"'{name}' is neither a file nor a preset; {known}")
-    light = (light * window(order, dering)[:, None]).astype(np.float32)
-    if not np.isfinite(light).all():
-        raise PrtnetError(name, "is too bright for 32-bit floats; scale it down")
-    return light
+    if not np.abs(light).max() < BRIGHTEST:
+        raise PrtnetError(name, "is too bright to compute with; scale it down")
+    return (light * window(order, dering)[:, None]).astype(np.float32)
 
 
 def equirectangular(path: str) -> FloatArray:

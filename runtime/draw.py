@@ -16,6 +16,9 @@ from runtime.shading import Surface, reflected_light
 
 __all__ = ["Renderer", "RendererName", "opened", "render"]
 
+SIDE_LIMIT = 1 << 14  # samples; also what OpenGL and the rasteriser's integers can hold
+SAMPLE_LIMIT = 1 << 26
+
 RendererName = Literal["gl", "cpu"]
 
 
@@ -87,11 +90,18 @@ def render(
 
     Returns:
         (H, W, 4) float32, top row first: linear colour times coverage, and coverage.
+
+    Raises:
+        PrtnetError: the picture is too large.
     """
     width, height = size
     scale = round(samples**0.5)
     if scale < 1 or scale * scale != samples:
         raise ValueError(f"samples must be a square number, not {samples}")
+    if max(width, height) * scale > SIDE_LIMIT or width * height * samples > SAMPLE_LIMIT:
+        raise PrtnetError(
+            "--size", f"{width}x{height} is too large a picture; use 4096x4096 at most"
+        )
     fine = renderer.draw(
         surface,
         reflected_light(light, albedo),

@@ -74,7 +74,7 @@ def rasterise(
         faces: triangles, (T, 3), counter-clockwise from the front.
         radiance: linear colour of each vertex, (V, 3).
         matrix: world to clip space, (4, 4), as ``Camera.matrix``.
-        size: width and height in pixels.
+        size: width and height in pixels, each at most ``GUARD``.
         back_radiance: colour (V, 3) of the back of each vertex; None for the same as the front.
 
     Returns:
@@ -85,7 +85,9 @@ def rasterise(
     target = Target(width, height, np.full(count, np.inf), np.zeros((count, 4), dtype=np.float32))
     points = np.concatenate([positions, np.ones((len(positions), 1))], axis=1, dtype=np.float64)
     sides = [radiance, radiance if back_radiance is None else back_radiance]
-    vertices = np.concatenate([points @ matrix.T, *sides], axis=1, dtype=np.float64)  # [V, 10]
+    with np.errstate(invalid="ignore", over="ignore"):  # vertices at infinity are left out below
+        projected = points @ matrix.T
+    vertices = np.concatenate([projected, *sides], axis=1, dtype=np.float64)  # [V, 10]
     for start in range(0, len(faces), FACE_BLOCK):
         corners = vertices[faces[start : start + FACE_BLOCK]]
         triangles = project(clip(corners, width, height), width, height)
@@ -99,7 +101,7 @@ def clip(corners: FloatArray, width: int, height: int) -> FloatArray:
     The planes are near, far and the four sides of a frustum of ``GUARD`` pixels: what lies between
     the picture and the guard costs nothing, as its pixels are never enumerated.
     """
-    corners = corners[np.isfinite(corners).all(axis=(1, 2))]
+    corners = corners[np.isfinite(corners[..., :4]).all(axis=(1, 2))]
     planes = np.array([[0, 0, 1, 1], [0, 0, -1, 1]], dtype=np.float64)
     side_x, side_y = 2 * GUARD / width, 2 * GUARD / height
     guard = [[1, 0, 0, side_x], [-1, 0, 0, side_x], [0, 1, 0, side_y], [0, -1, 0, side_y]]
