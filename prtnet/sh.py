@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from fractions import Fraction
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,16 +43,16 @@ __all__ = [
     "window",
 ]
 
-# Powers of z lose a digit for every two bands or so; float32 stays at rounding level up to here.
+# Powers of z cancel ever more with the band; up to here float32 stays at rounding level.
 FAST_ORDER = 6
-# Directions evaluated at a time where only their sum is wanted.
-BLOCK = 1 << 15
+# Directions evaluated at a time.
+BLOCK = 1 << 13
 
 
 def evaluate(directions: Array, order: int) -> Array:
     """The basis at unit directions.
 
-    Up to order 6 as explicit polynomials [2], above by ``evaluate_reference``.
+    Up to order 6 as explicit polynomials, above by the recurrence of ``evaluate_reference``.
 
     Args:
         directions: unit vectors, (..., 3), NumPy or torch (differentiable). Vectors of another
@@ -62,28 +62,50 @@ def evaluate(directions: Array, order: int) -> Array:
     Returns:
         (..., n²), same library and dtype as ``directions``.
     """
-    if order > FAST_ORDER:
-        return evaluate_reference(directions, order)
-    directions, xp = _checked(directions, order)
-    x, y, z = directions.reshape(-1, 3).T
-    powers = [xp.ones_like(z)]
-    for _ in range(order - 1):
-        powers.append(powers[-1] * z)
-    rows = list(powers)
-    cosine, sine = _azimuth(x, y, order)
-    for m in range(1, order):
-        for angular in (cosine[m], sine[m]):
-            rows.append(angular)
-            rows.extend(angular * power for power in powers[1 : order - m])
-    monomials = xp.stack(rows)  # [n², N]
-    basis = monomials.T @ constant_like(_polynomials(order), directions)
-    return basis.reshape(*directions.shape[:-1], order * order)
+    unit, xp = _checked(directions, order)
+    rows = _polynomial_rows if order <= FAST_ORDER else _recurrence_rows
+    flat = unit.reshape(-1, 3)
+    if xp is np:
+        # Blocks that stay in cache: fresh memory for every term costs more than the terms.
+        basis: Any = np.empty((len(flat), order * order), unit.dtype)
+        for start in range(0, len(flat), BLOCK):
+            part = slice(start, start + BLOCK)
+            np.stack(rows(np.ascontiguousarray(flat[part].T), order), axis=-1, out=basis[part])
+    else:
+        basis = xp.stack(rows(flat.T, order), -1)
+    return basis.reshape(*unit.shape[:-1], order * order)
 
 
 def evaluate_reference(directions: Array, order: int) -> Array:
     """The basis by the three-term recurrence in l: any order. Arguments as ``evaluate``."""
     directions, xp = _checked(directions, order)
-    x, y, z = (directions[..., axis] for axis in range(3))
+    return xp.stack(_recurrence_rows([directions[..., axis] for axis in range(3)], order), -1)
+
+
+def _polynomial_rows(xyz: Any, order: int) -> list[Any]:
+    """Every y_lm, each Q_lm by Horner's rule in z² with exact coefficients [2]."""
+    x, y, z = xyz
+    cosine, sine = _azimuth(x, y, order)
+    squared = z * z
+    rows: list[Any] = [None] * (order * order)
+    for band in range(order):
+        centre = band * band + band
+        for m in range(band + 1):
+            value, *others = _polynomial(band, m)
+            for other in others:
+                value = value * squared + other
+            if (band - m) % 2:
+                value = value * z
+            if m:
+                rows[centre + m] = value * cosine[m]
+                rows[centre - m] = value * sine[m]
+            else:
+                rows[centre] = value if band else value * library(z).ones_like(z)
+    return rows
+
+
+def _recurrence_rows(xyz: Any, order: int) -> list[Any]:
+    x, y, z = xyz
     legendre = _legendre(z, order)
     cosine, sine = _azimuth(x, y, order)
     rows: list[Any] = []
@@ -91,7 +113,7 @@ def evaluate_reference(directions: Array, order: int) -> Array:
         rows.extend(legendre[band][m] * sine[m] for m in range(band, 0, -1))
         rows.append(legendre[band][0])
         rows.extend(legendre[band][m] * cosine[m] for m in range(1, band + 1))
-    return xp.stack(rows, -1)
+    return rows
 
 
 def fibonacci_sphere(count: int) -> FloatArray:
@@ -122,7 +144,8 @@ def _checked(directions: Any, order: int) -> tuple[Any, Any]:
 
 def _azimuth(x: Any, y: Any, order: int) -> tuple[list[Any], list[Any]]:
     """Real and imaginary parts of (x + iy)^m for m < order; those of m = 0 are 1 and 0."""
-    cosine, sine = [x * 0 + 1, x], [x * 0, y]
+    cosine: list[Any] = [1.0, x]
+    sine: list[Any] = [0.0, y]
     for _ in range(2, order):
         c, s = cosine[-1], sine[-1]
         cosine.append(x * c - y * s)
@@ -154,40 +177,18 @@ def _legendre(z: Any, order: int) -> list[list[Any]]:
     return result
 
 
-@lru_cache
-def _polynomials(order: int) -> FloatArray:
-    """Coefficients of every y_lm over the monomials of ``evaluate``, (n², n²).
-
-    Monomials are z^a, then for each m ≥ 1 z^a·Re(x + iy)^m and z^a·Im(x + iy)^m, a < n − m.
-    """
-    table = np.zeros((order * order, order * order))
-    first = 0
-    for m in range(order):
-        for sign in (1, -1) if m else (1,):
-            for band in range(m, order):
-                for power, value in _legendre_derivative(band, m).items():
-                    table[first + power, band * band + band + sign * m] = (
-                        _normalisation(band, m) * value
-                    )
-            first += order - m
-    table.flags.writeable = False
-    return table
-
-
-def _normalisation(band: int, m: int) -> float:
+@cache
+def _polynomial(band: int, m: int) -> tuple[float, ...]:
+    """Q_lm's coefficients, highest power of z first, every second power (the rest vanish)."""
     ratio = Fraction(math.factorial(band - m), math.factorial(band + m)) * (2 * band + 1)
-    return (-1) ** m * math.sqrt((2 if m else 1) * ratio / (4.0 * math.pi))
-
-
-def _legendre_derivative(band: int, m: int) -> dict[int, Fraction]:
-    """d^m P_l/dz^m as {power of z: exact coefficient}."""
-    result = {}
-    for k in range(band // 2 + 1):
-        power = band - 2 * k
-        if power >= m:
-            value = (-1) ** k * math.comb(band, k) * math.comb(2 * band - 2 * k, band)
-            result[power - m] = Fraction(value * math.perm(power, m), 2**band)
-    return result
+    scale = (-1) ** m * math.sqrt((2 if m else 1) * ratio / (4.0 * math.pi))
+    coefficients = []
+    for k in range((band - m) // 2 + 1):
+        # P_l = 2^−l Σ_k (−1)^k C(l, k) C(2l − 2k, l) z^(l − 2k), differentiated m times.
+        value = math.comb(band, k) * math.comb(2 * band - 2 * k, band)
+        exact = Fraction((-1) ** k * value * math.perm(band - 2 * k, m), 2**band)
+        coefficients.append(scale * float(exact))
+    return tuple(coefficients)
 
 
 def gradient(directions: Array, order: int) -> Array:
