@@ -3,7 +3,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input install --quiet -c constraints.txt
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input install -qq -c constraints.txt
 READY := $(VENV)/.installed
 READY_DEV := $(VENV)/.installed-dev
 PYTEST_ARGS ?= -n auto --maxprocesses 8 --dist loadfile

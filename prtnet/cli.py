@@ -6,11 +6,14 @@ it does so inside the commands, so that ``prtnet --help`` answers at once.
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import os
+import shlex
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +22,12 @@ import prtnet
 from prtnet.errors import PrtnetError, nearest_name
 
 if TYPE_CHECKING:
-    from prtnet.console import Console
+    from prtnet.arrays import FloatArray
+    from prtnet.cli_options import EvaluateOptions
+    from prtnet.console import Console, Report
+    from prtnet.evaluation import NearestPose, TruthBlock
+    from prtnet.model import VisibilityModel
+    from runtime.onnx_model import OnnxModel
 
 __all__ = ["COMMANDS", "main", "run"]
 
@@ -46,10 +54,11 @@ class Session:
     console: Console
     json: Path | None
 
-    def finish(self, results: dict[str, Any]) -> None:
-        """Write the machine-readable results, where they are wanted."""
+    def finish(self, results: Mapping[str, Any], shown: Mapping[str, Any] | None = None) -> None:
+        """Show the results, as ``shown`` if given, and write them where ``--json`` says."""
         from prtnet.console import write_json
 
+        self.console.facts(results if shown is None else shown)
         if self.json is not None:
             write_json(self.json, results)
 
@@ -121,8 +130,8 @@ def overview() -> str:
     )
 
 
-def arguments(name: str, argv: Sequence[str], *parts: type) -> tuple[Any, ...]:
-    """The options of a command, one instance of each of ``parts``, and its session."""
+def arguments(name: str, argv: Sequence[str], *parts: Any) -> tuple[Any, ...]:
+    """The options of a command, as ``cli_arguments.parse`` gives them, and its session."""
     from prtnet.cli_arguments import check_output, parse
     from prtnet.cli_options import Common
     from prtnet.console import Console
@@ -136,10 +145,10 @@ def arguments(name: str, argv: Sequence[str], *parts: type) -> tuple[Any, ...]:
 def info(argv: Sequence[str]) -> None:
     """Describe a scene, a dataset or a model."""
     from prtnet.cli_arguments import input_file
-    from prtnet.cli_options import InfoFiles
+    from prtnet.cli_options import InfoOptions
 
-    files, session = arguments("info", argv, InfoFiles)
-    path = input_file(files.file, folder=True)
+    options, session = arguments("info", argv, InfoOptions)
+    path = input_file(options.file, folder=True)
     if path.suffix == ".safetensors":
         from prtnet.model import VisibilityModel
 
@@ -147,16 +156,315 @@ def info(argv: Sequence[str]) -> None:
     elif path.is_dir():
         from prtnet.dataset import Dataset
 
-        facts = Dataset.open(path).attributes
+        dataset = Dataset.open(path)
+        sizes = {"poses": len(dataset), "receivers": len(dataset.receiver_side)}
+        facts = {**sizes, "held_out_poses": len(dataset.held_out_poses()), **dataset.attributes}
     else:
         from data_gen.readers import read_scene
         from data_gen.scene_info import describe
 
         facts = describe(read_scene(path))
-    session.console.facts(list(facts.items()))
     session.finish(facts)
 
 
+def generate(argv: Sequence[str]) -> None:
+    """Ray-trace visibility over the poses of a scene."""
+    from data_gen.generate import GenerateConfig
+    from prtnet.cli_arguments import check_output, input_file
+    from prtnet.cli_options import GenerateFiles
+
+    files, config, session = arguments("generate", argv, GenerateFiles, GenerateConfig)
+    check_output(files.out, input_file(files.scene), replaces="zarr.json")
+
+    from data_gen.generate import generate as trace
+    from data_gen.readers import read_scene, require_clips
+
+    scene = read_scene(files.scene)
+    require_clips(scene)
+    with session.console.progress() as report:
+        summary = trace(scene, config, files.out, functools.partial(report, "poses"))
+    session.finish(dataclasses.asdict(summary))
+
+
+def train(argv: Sequence[str]) -> None:
+    """Fit a model to a dataset."""
+    from prtnet.cli_arguments import check_output, input_file, value_of
+    from prtnet.cli_options import TrainOptions
+    from training.config import PRESETS
+
+    preset = value_of("--preset", argv) or "default"
+    if preset not in PRESETS:
+        raise PrtnetError("--preset", f"'{preset}' is none; {nearest_name(preset, PRESETS)}")
+    options, config, session = arguments("train", argv, TrainOptions, PRESETS[preset])
+    check_output(options.out, input_file(options.dataset, folder=True))
+
+    import torch
+
+    from prtnet.console import StageMonitor
+    from prtnet.dataset import Dataset
+    from training.train import train as fit
+
+    torch.set_num_threads(threads(options.threads))
+    with session.console.progress() as report:
+        model = fit(Dataset.open(options.dataset), config, StageMonitor(report))
+    model.save(options.out)
+    results = {"out": options.out, "model_bytes": options.out.stat().st_size, **model.metadata}
+    errors = {name: results[name] for name in ("training_error", "held_out_error")
+              if name in results}  # fmt: skip
+    shown = {"out": options.out, "model_bytes": results["model_bytes"], "errors": errors}
+    session.finish(results, in_per_cent(shown))
+
+
+def evaluate(argv: Sequence[str]) -> None:
+    """Measure a model against ray-traced visibility."""
+    from prtnet.cli_arguments import check_output, input_file
+    from prtnet.cli_options import EvaluateOptions
+
+    options, session = arguments("evaluate", argv, EvaluateOptions)
+    inputs = input_file(options.model), input_file(options.data, folder=True)
+    check_output(options.dump, *inputs)
+
+    from prtnet.evaluation import evaluate as measure
+    from prtnet.model import VisibilityModel
+    from runtime.onnx_model import OnnxModel
+    from training.onnx_export import build_onnx
+
+    model = VisibilityModel.load(options.model)
+    predict = OnnxModel(build_onnx(model).SerializeToString(), options.threads)
+    truth_of = dataset_truth if options.data.is_dir() else scene_truth
+    with session.console.progress() as report:
+        truth = truth_of(options, model, predict)
+        results = measure(model, predict, truth.counted(report), truth.nearest)
+    results["ms_per_pose"] = predict.milliseconds(truth.pose)
+    results["model_bytes"] = options.model.stat().st_size
+    session.finish(results, in_per_cent(results))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a model is evaluated on.
+
+    Attributes:
+        blocks: poses and their visibility.
+        total: number of poses.
+        pose: one of them, (1, D), for timing.
+        nearest: answers with training poses; None where their data is not at hand.
+    """
+
+    blocks: Iterable[TruthBlock]
+    total: int
+    pose: FloatArray
+    nearest: NearestPose | None = None
+
+    def counted(self, report: Report) -> Iterator[TruthBlock]:
+        """The blocks, each reported when it is done with."""
+        done = 0
+        for block in self.blocks:
+            yield block
+            done += len(block.poses)
+            report("poses", done, self.total)
+
+
+def dataset_truth(options: EvaluateOptions, model: VisibilityModel, predict: OnnxModel) -> Truth:
+    """The clips of a dataset."""
+    del predict
+    from prtnet import evaluation
+    from prtnet.dataset import SAMPLED, Dataset
+
+    dataset = Dataset.open(options.data)
+    if options.dump is not None:
+        raise PrtnetError("--dump", "needs a scene in place of the dataset")
+    if (dataset.mesh_sha256, dataset.order) != (model.metadata.get("mesh_sha256"), model.order):
+        raise PrtnetError(
+            options.data, f"is of another mesh or order than {options.model}; train a model on it"
+        )
+    clips = chosen(options, [name for name in dataset.clip_names if name != SAMPLED])
+    return Truth(
+        evaluation.dataset_truth(dataset, clips),
+        sum(len(dataset.poses_of(clip)) for clip in clips),
+        dataset.read("pose", slice(1)),
+        evaluation.NearestPose(dataset),
+    )
+
+
+def scene_truth(options: EvaluateOptions, model: VisibilityModel, predict: OnnxModel) -> Truth:
+    """The clips of a scene, traced when they are wanted; writes the dump if there is to be one."""
+    from data_gen import truth
+    from data_gen.readers import read_scene, require_clips
+    from prtnet.modelled_scene import ModelledScene
+
+    scene = read_scene(options.data)
+    require_clips(scene)
+    actor = ModelledScene(model, scene)
+    clips = chosen(options, [clip.name for clip in scene.clips])
+    if options.dump is not None:
+        actor.dump(options.dump, clips, options.fps, predict)
+    return Truth(
+        truth.scene_truth(actor, clips, options.fps, options.rays, threads(options.threads)),
+        sum(len(scene.clip(clip).times(options.fps)) for clip in clips),
+        actor.poses(clips[0], fps=options.fps)[:1],
+    )
+
+
+def chosen(options: EvaluateOptions, known: Sequence[str]) -> Sequence[str]:
+    """The clips asked for, checked, or all that are known."""
+    for name in options.clips:
+        if name not in known:
+            raise PrtnetError(options.data, f"has no clip '{name}'; {nearest_name(name, known)}")
+    return options.clips or known
+
+
+def in_per_cent(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Results with their errors as a person reads them."""
+    fractions = {"rms", "p99", "max", "signal", "nearest", "pca_floor"}
+    shown: dict[str, Any] = {}
+    for name, value in results.items():
+        if isinstance(value, Mapping):
+            shown[name] = in_per_cent(value)
+        elif name in fractions and value is not None:
+            shown[name] = f"{100 * value:.2f} %"
+        else:
+            shown[name] = value
+    return shown
+
+
+def export(argv: Sequence[str]) -> None:
+    """Write a model for a game engine."""
+    from prtnet.cli_arguments import check_output, input_file
+    from prtnet.cli_options import ExportOptions
+
+    options, session = arguments("export", argv, ExportOptions)
+    check_output(options.out, input_file(options.model), replaces="model.onnx")
+
+    from prtnet.model import VisibilityModel
+    from training.export import export_folder
+
+    session.finish(export_folder(VisibilityModel.load(options.model), options.out))
+
+
+def render(argv: Sequence[str]) -> None:
+    """Draw one picture of a posed scene, without a window."""
+    from prtnet.cli_arguments import check_output, input_file
+    from prtnet.cli_options import RenderOptions
+
+    options, session = arguments("render", argv, RenderOptions)
+    check_output(options.out, input_file(options.model), input_file(options.scene))
+
+    import numpy as np
+
+    from data_gen.readers import read_scene, require_clips
+    from data_gen.visibility import trace_pose
+    from prtnet.light import load_light
+    from prtnet.model import VisibilityModel
+    from prtnet.modelled_scene import ModelledScene
+    from runtime.camera import Camera
+    from runtime.draw import opened
+    from runtime.draw import render as draw
+    from runtime.picture import auto_exposure, comparison, develop, save_png
+    from runtime.posed_surface import posed_surface
+
+    model = VisibilityModel.load(options.model)
+    light = load_light(options.light, model.order)
+    scene = read_scene(options.scene)
+    require_clips(scene)
+    actor = ModelledScene(model, scene)
+    clip = scene.clip(options.clip) if options.clip else scene.clips[0]
+    time = (clip.start + clip.end) / 2 if options.time is None else options.time
+    pose = actor.poses(clip.name, np.array([time]))
+    surface = posed_surface(actor, pose, model(pose)[0])
+    camera = Camera.framing(surface.positions, options.size[0] / options.size[1])
+    facts = {"out": options.out, "clip": clip.name, "time": time, "size": options.size}
+    with opened(options.renderer) as renderer:
+        linear = draw(renderer, surface, light, camera, options.size)
+        if options.compare is None:
+            picture = develop(linear, auto_exposure(linear))
+        else:
+            truth = trace_pose(
+                scene, actor.receivers, actor.frame_field, pose, model.order, options.rays,
+                threads(options.threads),
+            )  # fmt: skip
+            true_surface = posed_surface(actor, pose, truth[0])
+            true_linear = draw(renderer, true_surface, light, camera, options.size)
+            picture, facts["error_in_per_cent_of_white"] = comparison(linear, true_linear)
+    save_png(options.out, picture)
+    session.finish(facts)
+
+
+def demo(argv: Sequence[str]) -> None:
+    """Everything, on the bundled character."""
+    from prtnet.cli_arguments import output_folder
+    from prtnet.cli_options import DemoOptions
+
+    options, session = arguments("demo", argv, DemoOptions)
+    output_folder(options.out)
+
+    from data_gen.gltf_writer import write_glb
+    from data_gen.procedural import HELD_OUT, mannequin
+    from runtime.gl import available
+
+    write_glb(mannequin(), options.out / "mannequin.glb")
+    for step in demo_steps(options.out, HELD_OUT, "gl" if available() else "cpu"):
+        session.console.message(f"\n$ prtnet {shlex.join(step)}")
+        dispatch([*step, "--quiet"] if session.console.quiet else step)
+    session.finish({"out": options.out})
+
+
+def demo_steps(out: Path, held_out: Sequence[str], renderer: str) -> list[list[str]]:
+    """The command lines of the demonstration."""
+    scene, data, model = (str(out / f"mannequin.{kind}") for kind in ("glb", "zarr", "safetensors"))
+    holdout, errors = ",".join(held_out), str(out / "errors.json")
+    picture = ["--clip", held_out[0], "--compare", "truth", "--out", str(out / "frame.png")]
+    return [
+        [
+            "generate",
+            scene,
+            "--out",
+            data,
+            "--holdout",
+            holdout,
+            "--rays",
+            "256",
+            "--sample",
+            "100",
+        ],
+        ["train", data, "--out", model, "--preset", "small"],
+        ["evaluate", model, data, "--json", errors],
+        ["export", model, "--out", str(out / "export")],
+        ["render", model, scene, *picture, "--renderer", renderer],
+    ]
+
+
+def threads(count: int | None) -> int:
+    """As many as asked for, or one a core."""
+    return count or len(os.sched_getaffinity(0))
+
+
 COMMANDS = {
-    "info": Command(info, "describe a scene, a dataset or a model", "prtnet info robot.glb"),
+    "info": Command(info, "Describe a scene, a dataset or a model.", "prtnet info robot.glb"),
+    "generate": Command(
+        generate,
+        "Ray-trace visibility over the poses of a scene.",
+        "prtnet generate robot.glb --out robot.zarr --holdout Walk,Jump",
+    ),
+    "train": Command(
+        train,
+        "Fit a model to a dataset.",
+        "prtnet train robot.zarr --out robot.safetensors --preset small",
+    ),
+    "evaluate": Command(
+        evaluate,
+        "Measure a model's error and speed against ray-traced visibility.",
+        "prtnet evaluate robot.safetensors robot.zarr --json errors.json",
+    ),
+    "export": Command(
+        export,
+        "Write a model for a game engine: ONNX and what goes with it.",
+        "prtnet export robot.safetensors --out export",
+    ),
+    "render": Command(
+        render,
+        "Draw one picture of a posed scene, without a window.",
+        "prtnet render robot.safetensors robot.glb --clip Walk --out frame.png --compare truth",
+    ),
+    "demo": Command(demo, "Do all of it on a bundled character.", "prtnet demo --out demo"),
 }

@@ -8,19 +8,19 @@ for lists and ``--size WxH`` for pictures.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import os
-import types
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from prtnet.errors import PrtnetError
 
-__all__ = ["check_output", "input_file", "parse"]
+__all__ = ["check_output", "input_file", "output_folder", "parse", "value_of"]
 
 
 registry = ConstructorRegistry()
@@ -42,7 +42,8 @@ def parse_size(text: str) -> tuple[int, int]:
 @registry.primitive_rule
 def names_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     """``tuple[str, ...]`` is written A,B."""
-    if info.type != tuple[str, ...]:
+    # A default narrows the type to as many strings as it has.
+    if get_origin(info.type) is not tuple or {*get_args(info.type)} - {str, ...}:
         return None
     return PrimitiveConstructorSpec(
         nargs=1,
@@ -56,7 +57,7 @@ def names_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
 @registry.primitive_rule
 def size_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     """``tuple[int, int]`` is written WxH."""
-    if info.type != tuple[int, int]:
+    if get_origin(info.type) is not tuple or get_args(info.type) != (int, int):
         return None
     return PrimitiveConstructorSpec(
         nargs=1,
@@ -68,22 +69,26 @@ def size_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
 
 
 def parse(
-    command: str, argv: Sequence[str], parts: Sequence[type], description: str, example: str
+    command: str, argv: Sequence[str], parts: Sequence[Any], description: str, example: str
 ) -> tuple[Any, ...]:
     """One instance of every dataclass of ``parts``, filled from ``argv``.
 
+    Args:
+        command: its name.
+        argv: the words after it.
+        parts: dataclasses, or instances of them whose values are the defaults.
+        description: for ``--help``, which ends with the example.
+        example: a whole command line.
+
     Raises:
         PrtnetError: the arguments do not fit.
-        SystemExit: with status 0 after ``--help``, which ends with the example.
+        SystemExit: with status 0 after ``--help``.
     """
-    # Nameless sides: one flat list of options, whichever dataclass each comes from.
-    sides = tuple(Annotated[part, tyro.conf.arg(name="")] for part in parts)
-    form: Any = types.GenericAlias(tuple, sides)
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return tyro.cli(
-                form,
+            form = tyro.cli(
+                side_by_side(parts),
                 prog=f"prtnet {command}",
                 description=description,
                 args=list(argv),
@@ -92,11 +97,33 @@ def parse(
             )
     except SystemExit as stop:
         if not stop.code:
-            print(f"example:\n  {example}")  # noqa: T201 - the end of tyro's own help
+            print(f"\nexample:\n  {example}")  # noqa: T201 - the end of tyro's own help
             raise
         raise PrtnetError(
             command, f"{one_line(complaint.getvalue())}; see prtnet {command} --help"
         ) from None
+    return tuple(getattr(form, field.name) for field in dataclasses.fields(form))
+
+
+def value_of(option: str, argv: Sequence[str]) -> str | None:
+    """The value of ``--option VALUE`` or ``--option=VALUE``, before anything is parsed."""
+    for word, following in zip(argv, [*argv[1:], ""], strict=True):
+        if word == option:
+            return following
+        if word.startswith(f"{option}="):
+            return word.partition("=")[2]
+    return None
+
+
+def side_by_side(parts: Sequence[Any]) -> Any:
+    """A dataclass of all ``parts`` whose options have no prefix."""
+    fields: list[Any] = []
+    for index, part in enumerate(parts):
+        is_type = isinstance(part, type)
+        kind: Any = part if is_type else type(part)
+        default = dataclasses.field() if is_type else dataclasses.field(default=part)
+        fields.append((f"part{index}", Annotated[kind, tyro.conf.arg(name="")], default))
+    return dataclasses.make_dataclass("Arguments", fields, kw_only=True)
 
 
 def one_line(box: str) -> str:
@@ -131,25 +158,45 @@ def input_file(path: Path, folder: bool = False) -> Path:
     return path
 
 
-def check_output(path: Path | None, *inputs: Path, folder: bool = False) -> None:
+def check_output(path: Path | None, *inputs: Path, replaces: str | None = None) -> None:
     """Refuse, before the work rather than after it, an output that could not be written.
 
     Args:
         path: the output; None is fine.
         inputs: files it must not overwrite.
-        folder: the output is a folder, which may exist.
+        replaces: for folders, a file that only folders of this kind have: what stands there is
+            deleted, so it had better be an earlier output, or empty.
 
     Raises:
-        PrtnetError: it cannot be written, or is one of the inputs.
+        PrtnetError: it cannot be written, or something else stands there.
     """
     if path is None:
         return
     if any(path.resolve() == other.resolve() for other in inputs):
         raise PrtnetError(path, "is also an input; give another output")
-    if path.is_dir() and not folder:
+    if replaces is None and path.is_dir():
         raise PrtnetError(path, "is a folder where a file would be written; give another output")
-    if folder and path.is_file():
+    if replaces is not None and path.is_file():
         raise PrtnetError(path, "is a file where a folder would be written; give another output")
+    if path.is_dir() and not (path / str(replaces)).exists() and any(path.iterdir()):
+        raise PrtnetError(path, "is a folder of other files, not replaced; give another output")
+    check_writable(path)
+
+
+def output_folder(path: Path) -> None:
+    """Make a folder to put files in, or take the one that is there.
+
+    Raises:
+        PrtnetError: it can neither be made nor written.
+    """
+    if path.exists() and not path.is_dir():
+        raise PrtnetError(path, "is a file where a folder is wanted; give another output")
+    check_writable(path)
+    path.mkdir(exist_ok=True)
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a file or folder that the operating system will not let us write."""
     parent = path.absolute().parent
     if not parent.is_dir():
         raise PrtnetError(path, f"cannot be written (there is no folder {parent}); make it first")

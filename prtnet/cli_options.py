@@ -4,10 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from tyro.conf import Positional
 
-__all__ = ["Common", "GenerateFiles", "InfoFiles"]
+from prtnet.errors import PrtnetError
+
+__all__ = [
+    "Common",
+    "DemoOptions",
+    "EvaluateOptions",
+    "ExportOptions",
+    "GenerateFiles",
+    "InfoOptions",
+    "RenderOptions",
+    "TrainOptions",
+]
+
+
+def at_least(option: str, value: float | None, least: float) -> None:
+    """Refuse a number that is too small."""
+    if value is not None and not value >= least:
+        raise PrtnetError(option, f"is {value:g}; it must be at least {least:g}")
 
 
 @dataclass(frozen=True)
@@ -20,6 +38,13 @@ class Common:
 
 
 @dataclass(frozen=True)
+class InfoOptions:
+    """Options of ``prtnet info``."""
+
+    file: Positional[Path]  # scene, dataset or model
+
+
+@dataclass(frozen=True)
 class GenerateFiles:
     """Files of ``prtnet generate``."""
 
@@ -28,7 +53,72 @@ class GenerateFiles:
 
 
 @dataclass(frozen=True)
-class InfoFiles:
-    """Files of ``prtnet info``."""
+class TrainOptions:
+    """Options of ``prtnet train`` apart from those of the fit."""
 
-    file: Positional[Path]  # scene, dataset or model
+    dataset: Positional[Path]  # from prtnet generate
+    out: Path  # model to write, a .safetensors file
+    preset: str = "default"  # the options' values to start from: default, small, large or paper
+    threads: int | None = None  # CPU threads; all cores when not given
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        at_least("--threads", self.threads, 1)
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """Options of ``prtnet evaluate``."""
+
+    model: Positional[Path]  # from prtnet train
+    data: Positional[Path]  # a dataset, or a scene to ray-trace now
+    clips: tuple[str, ...] = ()  # clips to evaluate; all when not given
+    fps: float = 5.0  # poses a second of a scene's clips
+    rays: int = 512  # rays per receiver of a scene's truth
+    dump: Path | None = None  # write a scene's predictions to this .npz, in the world frame
+    threads: int | None = None  # CPU threads; all cores when not given
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        at_least("--fps", self.fps, 0.01)
+        at_least("--rays", self.rays, 1)
+        at_least("--threads", self.threads, 1)
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Options of ``prtnet export``."""
+
+    model: Positional[Path]  # from prtnet train
+    out: Path  # folder to write
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Options of ``prtnet render``."""
+
+    model: Positional[Path]  # from prtnet train
+    scene: Positional[Path]  # the scene it was fitted to
+    out: Path  # picture to write, .png
+    clip: str | None = None  # the animation; the scene's first when not given
+    time: float | None = None  # seconds; the middle of the clip when not given
+    light: str = "studio"  # a Radiance .hdr file or the name of a preset
+    size: tuple[int, int] = (640, 640)  # of the picture, in pixels
+    compare: Literal["truth"] | None = None  # show the ray-traced truth and the error beside it
+    rays: int = 1024  # rays per receiver of the truth
+    renderer: Literal["gl", "cpu"] = "gl"  # OpenGL, or the NumPy reference
+    threads: int | None = None  # CPU threads; all cores when not given
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        at_least("--rays", self.rays, 1)
+        at_least("--threads", self.threads, 1)
+        if max(self.size) > 8192:
+            raise PrtnetError("--size", "is too large; give at most 8192x8192")
+
+
+@dataclass(frozen=True)
+class DemoOptions:
+    """Options of ``prtnet demo``."""
+
+    out: Path = Path("demo")  # folder for everything it makes

@@ -11,7 +11,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -23,7 +23,7 @@ import rich.table
 
 from prtnet.files import writing
 
-__all__ = ["Console", "Report", "silent", "write_json"]
+__all__ = ["Console", "Report", "StageMonitor", "silent", "write_json"]
 
 PATIENCE = 1.0  # seconds before anything is shown: quick work needs no bar
 SPARSE = 10.0  # seconds between lines where there is no terminal to redraw
@@ -33,7 +33,7 @@ class Report(Protocol):
     """Called by long work whenever it has got further."""
 
     def __call__(self, what: str, done: int, total: int) -> None:
-        """Say that ``done`` of ``total`` steps of ``what`` are behind us."""
+        """Say that ``done`` of ``total`` steps of ``what`` are behind us; 0 of 0 where unknown."""
 
 
 def silent(what: str, done: int, total: int) -> None:
@@ -72,13 +72,24 @@ class Console:
             table.add_row(*(rich.markup.escape(str(cell)) for cell in row))
         self._output.print(table)
 
-    def facts(self, pairs: Sequence[tuple[str, object]]) -> None:
-        """Names and values, one pair a line, on stdout."""
+    def facts(self, facts: Mapping[str, Any]) -> None:
+        """Named values on stdout: one a line, and what has parts as a table of its own."""
         if self.quiet:
             return
-        width = max(len(name) for name, _ in pairs)
-        for name, value in pairs:
-            self._output.print(f"{name:<{width}}  {value}", markup=False, soft_wrap=True)
+        flat = {n: v for n, v in facts.items() if not isinstance(v, Mapping)}
+        width = max((len(name) for name in flat), default=0)
+        for name, value in flat.items():
+            self._output.print(
+                f"{words(name):<{width}}  {shown(value)}", markup=False, soft_wrap=True
+            )
+        for name, parts in facts.items():
+            if not isinstance(parts, Mapping) or not parts:
+                continue
+            rows = [v if isinstance(v, Mapping) else {"": v} for v in parts.values()]
+            columns = list(rows[0])
+            table = [[key, *map(shown, row.values())] for key, row in zip(parts, rows, strict=True)]
+            self._output.print()
+            self.table([words(name), *map(words, columns)], table)
 
     @contextlib.contextmanager
     def progress(self) -> Iterator[Report]:
@@ -93,6 +104,51 @@ class Console:
                 bar.close()
         else:
             yield _Lines(self.message, self._clock).report
+
+
+class StageMonitor:
+    """Shows the stages of a fit as progress; what could be plotted is left out.
+
+    Args:
+        report: from ``Console.progress``.
+    """
+
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self._stage = ""
+
+    def stage(self, text: str) -> None:
+        """The stage before is done and another begins, of unknown length."""
+        if self._stage:
+            self._report(self._stage, 1, 1)
+        self._stage = text
+        self._report(text, 0, 0)
+
+    def progress(self, done: int, total: int, loss: float) -> None:  # noqa: ARG002
+        """Steps done of the present stage."""
+        self._report(self._stage, done, total)
+
+    def scalar(self, name: str, value: float, step: int) -> None:
+        """Not shown."""
+
+    def histogram(self, name: str, values: object, step: int) -> None:
+        """Not shown."""
+
+
+def words(name: str) -> str:
+    """A name of code as it reads in a sentence."""
+    return name.replace("_", " ")
+
+
+def shown(value: object) -> str:
+    """A value as a person would write it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(shown, value)) if value else "none"
+    return str(value)
 
 
 class _Bar:
@@ -114,9 +170,9 @@ class _Bar:
 
     def report(self, what: str, done: int, total: int) -> None:
         if what not in self._tasks:
-            self._tasks[what] = self._progress.add_task(what, total=total)
-        self._progress.update(self._tasks[what], completed=done, total=total)
-        if not self._shown and self._clock() - self._start > PATIENCE:
+            self._tasks[what] = self._progress.add_task(what, total=None)
+        self._progress.update(self._tasks[what], completed=done, total=total or None)
+        if not self._shown and (not total or self._clock() - self._start > PATIENCE):
             self._shown = True
             self._progress.start()
 
@@ -135,11 +191,11 @@ class _Lines:
 
     def report(self, what: str, done: int, total: int) -> None:
         now = self._clock()
-        finished = done >= total and now - self._start > SPARSE
+        finished = 0 < total <= done and now - self._start > SPARSE
         if now - self._last > SPARSE or finished:
             self._last = now
-            share = 100.0 * done / max(total, 1)
-            self._write(f"{what}: {done}/{total} ({share:.0f} %), {now - self._start:.0f} s")
+            share = f" {done}/{total} ({100.0 * done / total:.0f} %)," if total else ""
+            self._write(f"{what}:{share} {now - self._start:.0f} s")
 
 
 def plain(value: Any) -> Any:

@@ -24,12 +24,29 @@ def test_results_go_to_stdout_and_talk_to_stderr(capsys: pytest.CaptureFixture[s
     console = Console()
     console.message("[bold] wrote a[b]")
     console.table(["clip", "rms"], [["Walk[1]", 0.04]])
-    console.facts([("order", 4), ("receivers", 1806)])
+    console.facts({"order": 4, "held_out": ["Run", "Jump"]})
     out, err = capsys.readouterr()
     assert err == "[bold] wrote a[b]\n"  # names with brackets are not markup
     assert out.splitlines()[0].split() == ["clip", "rms"]
     assert out.splitlines()[1].split() == ["Walk[1]", "0.04"]
-    assert out.splitlines()[2:] == ["order      4", "receivers  1806"]
+    assert out.splitlines()[2:] == ["order     4", "held out  Run, Jump"]
+
+
+def test_facts_with_parts_are_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    facts = {
+        "clips": {"Run": {"seconds": 0.5, "keys": 12}, "Walk": {"seconds": 2 / 3, "keys": 3}},
+        "config": {"kind": "neural", "alpha": None},
+        "empty": {},
+        "two_sided": True,
+        "dropped": [],
+    }
+    Console().facts(facts)
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines == [
+        ["two", "sided", "yes"], ["dropped", "none"], [],
+        ["clips", "seconds", "keys"], ["Run", "0.5", "12"], ["Walk", "0.666667", "3"], [],
+        ["config"], ["kind", "neural"], ["alpha", "None"],
+    ]  # fmt: skip
 
 
 def test_quiet_is_silent(capsys: pytest.CaptureFixture[str]) -> None:
@@ -37,7 +54,7 @@ def test_quiet_is_silent(capsys: pytest.CaptureFixture[str]) -> None:
     console = Console(quiet=True, clock=clock)
     console.message("x")
     console.table(["a"], [["b"]])
-    console.facts([("a", 1)])
+    console.facts({"a": 1, "b": {"c": 2}})
     with console.progress() as report:
         clock.now = 1e6
         report("rays", 1, 2)

@@ -1,0 +1,40 @@
+"""Ray-traced visibility of a scene's clips, block by block: what a model is judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from data_gen.visibility import PoseTracer
+from prtnet.evaluation import TruthBlock
+from prtnet.modelled_scene import ModelledScene
+
+__all__ = ["scene_truth"]
+
+BLOCK = 8  # poses
+
+
+def scene_truth(
+    actor: ModelledScene, clips: Sequence[str], fps: float, rays: int, threads: int
+) -> Iterator[TruthBlock]:
+    """Truth of the clips of a model's scene, in the model's frames.
+
+    A clip is held out unless the model was trained on it.
+
+    Args:
+        actor: the scene, and the model whose order and frames are used.
+        clips: names.
+        fps: poses a second.
+        rays: above the horizon of every receiver.
+        threads: that trace.
+    """
+    tracer = PoseTracer(actor.scene, actor.receivers, actor.frame_field, actor.model.order, rays)
+    with ThreadPoolExecutor(threads) as pool:
+        for clip in clips:
+            poses = actor.poses(clip, fps=fps)
+            for start in range(0, len(poses), BLOCK):
+                block = poses[start : start + BLOCK]
+                visibility = np.stack([pose.visibility for pose in tracer.map(block, pool)])
+                yield TruthBlock(clip, clip not in actor.training_clips, block, visibility)
