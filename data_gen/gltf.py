@@ -24,15 +24,15 @@ import scipy.sparse
 from data_gen.gltf_animation import default_weights, read_clips, read_hierarchy, read_rig
 from data_gen.gltf_buffers import Buffers
 from data_gen.gltf_document import Document, Element, parse, read_bytes
-from data_gen.gltf_mesh import Primitive, read_primitive
+from data_gen.gltf_mesh import Primitive, read_primitive, vertex_bound
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
 from prtnet.scene import SkinnedScene
 
 __all__ = ["read_gltf"]
 
-MAX_VERTICES = 2**24  # the indices a float32 can tell apart
-MAX_MORPH_OFFSETS = 2**26  # every target on every vertex: 1.6 GB
+MAX_VERTICES = 2**22  # whose visibility, 256 MB a pose, nobody trains on
+MAX_MORPH_OFFSETS = 2**25  # every target on every vertex: 0.8 GB
 
 
 @dataclass(eq=False)
@@ -53,19 +53,30 @@ class Assembly:
         joint = self.joints.setdefault(node, len(self.joints))
         return self.bones.setdefault((joint, inverse_bind.tobytes()), len(self.bones))
 
-    def add_morphs(self, node: int, weights: FloatArray) -> None:
-        """Append a node's morph targets."""
-        self.weights_of_node[node] = slice(self.morphs, self.morphs + len(weights))
-        self.rest_weights.append(weights)
-        self.morphs += len(weights)
+    def reserve(self, node: int, vertices: int, weights: FloatArray) -> None:
+        """Make room for a node's mesh with its morph weights at rest.
 
-    def add(self, primitive: Primitive, node: int, slots: IntArray) -> None:
-        """Append a primitive that hangs on ``node``, its joints naming bones through ``slots``."""
-        self.vertices += max(len(primitive.positions), primitive.faces.size)
+        Raises:
+            PrtnetError: there would be too much to hold.
+        """
+        self.vertices += vertices
         if self.vertices > MAX_VERTICES:
             raise PrtnetError(
                 self.path, f"has over {MAX_VERTICES} vertices; simplify it, or export fewer meshes"
             )
+        if len(weights):
+            self.weights_of_node[node] = slice(self.morphs, self.morphs + len(weights))
+            self.rest_weights.append(weights)
+            self.morphs += len(weights)
+        if self.morphs * self.vertices > MAX_MORPH_OFFSETS:
+            raise PrtnetError(
+                self.path,
+                f"has {self.morphs} morph targets on {self.vertices} vertices, more than fit in "
+                "memory; remove the targets that are not used",
+            )
+
+    def add(self, primitive: Primitive, node: int, slots: IntArray) -> None:
+        """Append a primitive that hangs on ``node``, its joints naming bones through ``slots``."""
         self.pieces.append(
             Piece(primitive, slots, self.weights_of_node.get(node, slice(0, 0)).start)
         )
@@ -144,15 +155,17 @@ def add_mesh(
     """Append a node's mesh to the assembly; ``slot`` is the node's place in the rig."""
     meshes, skins = document.list("meshes"), document.list("skins")
     mesh = meshes[node.integer("mesh", limit=len(meshes))]
-    primitives = [read_primitive(p, buffers) for p in mesh.children("primitives")]
-    found = [primitive for primitive in primitives if primitive is not None]
-    morphs = max((len(primitive.targets) for primitive in found), default=0)
-    if morphs:
-        assembly.add_morphs(slot, default_weights(node, mesh, morphs))
+    primitives = mesh.children("primitives")
+    morphs = max((len(primitive.children("targets")) for primitive in primitives), default=0)
+    bound = sum(vertex_bound(primitive, buffers) for primitive in primitives)
+    assembly.reserve(slot, bound, default_weights(node, mesh, morphs))
     skin = None
     if "skin" in node:
         skin = skins[node.integer("skin", limit=len(skins))]
-    for primitive in found:
+    for element in primitives:
+        primitive = read_primitive(element, buffers)
+        if primitive is None:
+            continue
         if skin is None or primitive.joints is None:
             rigid = replace(primitive, joints=None, weights=None)
             assembly.add(rigid, slot, np.array([assembly.bone(slot, np.eye(4)[:3])]))
@@ -207,12 +220,6 @@ def merge(
     counts = [len(primitive.positions) for primitive in primitives]
     first = np.concatenate([[0], np.cumsum(counts)])
     total = int(first[-1])
-    if assembly.morphs * total > MAX_MORPH_OFFSETS:
-        raise PrtnetError(
-            assembly.path,
-            f"has {assembly.morphs} morph targets on {total} vertices, more than fit in memory; "
-            "remove the targets that are not used",
-        )
     morphs = np.zeros((2, assembly.morphs, total, 3), dtype=np.float32)
     for piece, start, count in zip(pieces, first, counts, strict=False):
         for index, target in enumerate(piece.primitive.targets, piece.first_morph):

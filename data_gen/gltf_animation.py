@@ -24,6 +24,7 @@ __all__ = [
     "unique_names",
 ]
 
+LONGEST_SECONDS = 86400  # nobody samples more than a day of poses: such times are damage
 KINDS = {"translation": ("VEC3", 3), "rotation": ("VEC4", 4), "scale": ("VEC3", 3)}
 REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
 
@@ -187,6 +188,8 @@ def read_channel(sampler: Element, buffers: Buffers, node: int, path: str, morph
     times = buffers.floats(sampler, "input", "SCALAR")[:, 0]
     if (np.diff(times) < 0).any():
         sampler.fail("its key times run backwards")
+    if np.abs(times).max() > LONGEST_SECONDS:
+        sampler.fail(f"its keys lie beyond {LONGEST_SECONDS} seconds")
     kind, size = KINDS.get(path, ("SCALAR", morphs))
     values = buffers.floats(sampler, "output", kind, integers_normalised=True)
     shape = (len(times), 3, size) if mode == "CUBICSPLINE" else (len(times), size)

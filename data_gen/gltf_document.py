@@ -24,6 +24,7 @@ __all__ = ["Document", "Element", "parse", "read_bytes"]
 
 MAGIC = b"glTF"
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+LARGEST = float(np.finfo(np.float32).max)
 ADVICE = "the file is damaged; export it again"
 
 # Required extensions that do not change where the vertices are, and one that is implemented.
@@ -91,7 +92,7 @@ class Element:
             except OverflowError:
                 number = math.inf
             # Anything a float32 cannot hold could only turn into infinities later.
-            if not abs(number) < np.finfo(np.float32).max or isinstance(value, bool):
+            if not abs(number) < LARGEST or isinstance(value, bool):
                 self.fail(f"'{key}' must hold finite numbers")
             numbers[slot] = number
         return numbers

@@ -14,7 +14,7 @@ from data_gen.gltf_document import Element
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.scene import face_normals, unit
 
-__all__ = ["Primitive", "read_primitive"]
+__all__ = ["Primitive", "read_primitive", "vertex_bound"]
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 ROUNDING = 1e-6  # what is one to float32 stays as it is, so that a file written again is the same
@@ -58,6 +58,17 @@ class Primitive:
         return np.repeat(unit(face_normals(self.positions, self.faces)), 3, axis=0)
 
 
+def vertex_bound(element: Element, buffers: Buffers) -> int:
+    """At most how many vertices a primitive comes to, before any is read."""
+    attributes = element.required("attributes")
+    count = buffers.count(attributes, "POSITION")
+    if "NORMAL" in attributes:
+        return count
+    if "indices" in element:
+        count = max(count, buffers.count(element, "indices"))
+    return count if element.integer("mode", TRIANGLES) == TRIANGLES else 3 * count
+
+
 def read_primitive(element: Element, buffers: Buffers) -> Primitive | None:
     """The primitive as triangles; None for points and lines.
 
@@ -82,7 +93,11 @@ def read_primitive(element: Element, buffers: Buffers) -> Primitive | None:
         normals = np.where(long, unit(given), given)
     joints, weights = influences(attributes, buffers, count)
     targets = tuple(
-        np.stack([vectors(target, name, buffers, count) for name in ("POSITION", "NORMAL")])
+        np.stack(
+            [vectors(target, name, buffers, count) for name in ("POSITION", "NORMAL")],
+            dtype=np.float32,
+            casting="same_kind",
+        )
         for target in element.children("targets")
     )
     faces = triangles(element, buffers, mode, count)

@@ -93,7 +93,9 @@ def write_glb(scene: SkinnedScene, path: str | Path) -> None:
     if len(scene.rig.weights_of_node) > 1:
         raise PrtnetError(path, "cannot hold morph targets of several meshes; merge them first")
     writer = Writer()
-    nodes = rig_nodes(scene.rig, {c.node for clip in scene.clips for c in clip.channels}, path)
+    channels = [channel for clip in scene.clips for channel in clip.channels]
+    animated = {channel.node for channel in channels if channel.path != "weights"}
+    nodes = rig_nodes(scene.rig, animated, path)
     skin = {
         "joints": bone_nodes(scene, nodes),
         "inverseBindMatrices": writer.accessor(column_major(scene.bone_inverse_bind), 16),

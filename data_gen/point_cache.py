@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from prtnet.scene import PointCacheScene
 
 __all__ = ["read_point_cache"]
 
+SLOWEST, FASTEST = 1e-3, 1e6  # frames a second that somebody may mean
 # A few kilobytes can unpack to any size: beyond the first bound the second one must hold.
 LARGE_BYTES, LARGEST_RATIO = 2**30, 100
 
@@ -43,8 +43,8 @@ def read_point_cache(path: Path) -> PointCacheScene:
     if not (np.abs(positions) <= np.finfo(np.float32).max).all():
         raise PrtnetError(path, "'positions' holds numbers that are not finite; repair the cache")
     rate = float(fps.item()) if fps.size == 1 and fps.dtype.kind in "iuf" else math.nan
-    if not (math.isfinite(rate) and rate > 0):
-        raise PrtnetError(path, "'fps' must be one number above zero")
+    if not SLOWEST <= rate <= FASTEST:
+        raise PrtnetError(path, f"'fps' must be one number from {SLOWEST:g} to {FASTEST:g}")
     return PointCacheScene(
         name=path.stem,
         path=path,
@@ -76,9 +76,9 @@ def read_array(path: Path, name: str) -> NDArray[Any]:
         ) from error
     except FileNotFoundError as error:
         raise PrtnetError(path, "does not exist; check the path") from error
-    except (
-        OSError, ValueError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error,
-    ) as error:  # fmt: skip
+    except PrtnetError:
+        raise
+    except Exception as error:  # a damaged header can break NumPy's parser in any way
         reason = " ".join(str(error).split())[:120]
         raise PrtnetError(path, f"'{name}' cannot be read ({reason}); save it anew") from error
 

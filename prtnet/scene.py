@@ -163,7 +163,7 @@ class Scene(ABC):
         digest = hashlib.sha256()
         for array in (self.faces, *self._identity()):
             digest.update(str(array.shape).encode())
-            digest.update(np.ascontiguousarray(array, dtype=np.float32).tobytes())
+            digest.update((np.asarray(array, dtype=np.float32) + 0.0).tobytes())  # no -0.0
         return digest.hexdigest()
 
     def clip(self, name: str) -> Clip:
