@@ -1,0 +1,240 @@
+"""The commands one after another on a small character, as a user runs them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from PIL import Image
+
+from data_gen.gltf_writer import write_glb
+from data_gen.procedural import arm
+from data_gen.visibility import Tracer, trace_pose
+from prtnet import cli, sh
+from prtnet.dataset import Dataset
+from prtnet.model import VisibilityModel
+from prtnet.modelled_scene import ModelledScene
+
+
+def prtnet(*argv: str | Path) -> None:
+    assert cli.run([str(word) for word in argv]) == 0
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scene, its dataset and a linear model."""
+    folder = tmp_path_factory.mktemp("pipeline")
+    write_glb(arm(segments=10), folder / "arm.glb")
+    effort = ("--count", "24", "--rays", "256", "--threads", "2", "--quiet")
+    prtnet("generate", folder / "arm.glb", "--out", folder / "arm.zarr", *effort)
+    fit = ("--kind", "linear", "--clusters", "6", "--alpha", "0.001", "--quiet")
+    prtnet("train", folder / "arm.zarr", "--out", folder / "arm.safetensors", *fit)
+    return folder
+
+
+def failure(capsys: pytest.CaptureFixture[str], *argv: str | Path) -> str:
+    """The one line that a command fails with."""
+    assert cli.run([str(word) for word in argv]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("prtnet: error: ")
+    assert err.count("\n") == 1
+    return err
+
+
+def test_options_reach_the_dataset(work: Path) -> None:
+    dataset = Dataset.open(work / "arm.zarr")
+    assert (len(dataset), dataset.rays, dataset.order) == (24, 256, 4)
+
+
+def test_options_reach_the_model(work: Path) -> None:
+    model = VisibilityModel.load(work / "arm.safetensors")
+    assert model.kind == "linear"
+    assert len(model.latents) == 6
+    assert model.metadata["config"]["alpha"] == 0.001
+
+
+def test_preset_is_where_options_start_from(work: Path, tmp_path: Path) -> None:
+    out = tmp_path / "m.safetensors"
+    options = ("--preset", "paper", "--kind", "linear", "--clusters", "5", "--quiet")
+    prtnet("train", work / "arm.zarr", "--out", out, *options)
+    config = VisibilityModel.load(out).metadata["config"]
+    assert config["features"] == "joint_angles"
+    assert (config["kind"], config["clusters"]) == ("linear", 5)
+
+
+def test_evaluation_of_a_dataset(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report = work / "errors.json"
+    prtnet("evaluate", work / "arm.safetensors", work / "arm.zarr", "--json", report)
+    results = json.loads(report.read_text())
+    contract = {"clips", "rms", "signal", "nearest", "pca_floor", "ms_per_pose", "model_bytes"}
+    assert contract <= set(results)
+    assert set(results["clips"]["bend"]) == {"rms", "p99", "max", "held_out"}
+    assert results["pca_floor"] <= results["rms"] < results["signal"]
+    assert results["nearest"] == 0  # every pose is a training pose
+    assert results["model_bytes"] == (work / "arm.safetensors").stat().st_size
+    assert f"{100 * results['rms']:.2f} %" in capsys.readouterr().out
+
+
+def test_evaluation_of_a_scene_agrees(work: Path) -> None:
+    one, two = work / "dataset.json", work / "scene.json"
+    model = work / "arm.safetensors"
+    prtnet("evaluate", model, work / "arm.zarr", "--json", one, "--quiet")
+    again = ("--fps", "5.75", "--rays", "256", "--clips", "bend", "--quiet")  # the same 24 poses
+    prtnet("evaluate", model, work / "arm.glb", "--json", two, *again)
+    expected, results = json.loads(one.read_text()), json.loads(two.read_text())
+    assert results["rms"] == pytest.approx(expected["rms"], rel=1e-4)
+    assert results["signal"] == pytest.approx(expected["signal"], rel=1e-4)
+    assert results["nearest"] is None
+
+
+def test_dump_is_what_the_model_says_in_the_world(work: Path, tmp_path: Path) -> None:
+    """With the truth in place of a prediction, a tracer that knows only the dump agrees."""
+    from data_gen.readers import read_scene
+
+    model = VisibilityModel.load(work / "arm.safetensors")
+    actor = ModelledScene(model, read_scene(work / "arm.glb"))
+
+    def truth(poses: np.ndarray) -> np.ndarray:
+        return trace_pose(actor.scene, actor.receivers, actor.frame_field, poses, rays=2048)
+
+    path = tmp_path / "dump.npz"
+    assert actor.dump(path, ["bend"], 0.5, truth) == 3  # 0, 2 and 4 s
+    with np.load(path, allow_pickle=False) as dump:
+        positions, normals, faces = (dump[n] for n in ("positions", "normals", "faces"))
+        visibility = dump["visibility"]
+    directions = sh.fibonacci_sphere(4096).astype(np.float32)
+    tracer = Tracer(positions[1], faces)
+    origins = tracer.origins(positions[1], normals[1])
+    rays = np.tile(directions, (len(origins), 1)), np.repeat(origins, len(directions), axis=0)
+    hit = tracer.occluded(rays[1].astype(np.float32), rays[0]).reshape(len(origins), -1)
+    above = normals[1] @ directions.T >= 0
+    own = 1.0 - (hit & above)
+    expected = own @ sh.evaluate(directions.astype(np.float64), 4) * (4 * math.pi / 4096)
+    difference = np.linalg.norm(visibility[1] - expected) / np.linalg.norm(expected)
+    assert difference < 0.01  # the two sets of rays
+    assert np.abs(expected[:, 0] - math.sqrt(4 * math.pi)).max() > 0.5  # the pose is shadowed
+
+
+def test_dump_of_a_prediction(work: Path, tmp_path: Path) -> None:
+    path = tmp_path / "dump.npz"
+    options = ("--fps", "1", "--rays", "16", "--dump", path, "--quiet")
+    prtnet("evaluate", work / "arm.safetensors", work / "arm.glb", *options)
+    with np.load(path, allow_pickle=False) as dump:
+        poses, receivers = dump["positions"].shape[:2]
+        assert poses == 5
+        assert dump["visibility"].shape == (poses, receivers, 16)
+        assert dump["normals"].shape == (poses, receivers, 3)
+        assert dump["faces"].max() < receivers
+        assert np.linalg.norm(dump["normals"], axis=-1) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_export(work: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "export"
+    for _ in range(2):  # an earlier export is replaced
+        prtnet("export", work / "arm.safetensors", "--out", folder, "--quiet")
+    assert {file.name for file in folder.iterdir()} == {"model.onnx", "model.json", "README.md"}
+    onnx.checker.check_model(str(folder / "model.onnx"))
+    facts = json.loads((folder / "model.json").read_text())
+    receivers = facts["receivers"]
+    assert np.shape(facts["rest_tangents"]) == (receivers, 3)
+    assert f"(poses, {receivers}, 16)" in (folder / "README.md").read_text()
+
+
+def test_export_of_a_point_cache_model_says_so(work: Path, tmp_path: Path) -> None:
+    from training.export import export_folder
+
+    model = VisibilityModel.load(work / "arm.safetensors")
+    model.metadata["scene_kind"] = "point_cache"
+    export_folder(model, tmp_path / "export")
+    assert "vertices' positions" in (tmp_path / "export" / "README.md").read_text()
+
+
+@pytest.mark.parametrize("renderer", ["cpu", pytest.param("gl", marks=pytest.mark.gl)])
+def test_render_beside_the_truth(work: Path, tmp_path: Path, renderer: str) -> None:
+    out, report = tmp_path / "frame.png", tmp_path / "frame.json"
+    options = ("--time", "2", "--size", "80x60", "--compare", "truth", "--rays", "64")
+    scene = work / "arm.safetensors", work / "arm.glb"
+    prtnet("render", *scene, "--out", out, "--json", report, "--renderer", renderer, *options)
+    with Image.open(out) as picture:
+        assert picture.width > 3 * 80
+        assert picture.height > 60
+    error = json.loads(report.read_text())["error_in_per_cent_of_white"]
+    assert 0 < error["rms"] < 10
+
+
+def test_render_alone_has_the_size_asked_for(work: Path, tmp_path: Path) -> None:
+    out = tmp_path / "frame.png"
+    options = ("--size", "80x60", "--renderer", "cpu", "--light", "sky", "--quiet")
+    prtnet("render", work / "arm.safetensors", work / "arm.glb", "--out", out, *options)
+    with Image.open(out) as picture:
+        assert picture.size == (80, 60)
+        assert np.ptp(np.asarray(picture)) > 100  # something is drawn
+
+
+@pytest.mark.parametrize("name", ["arm.glb", "arm.zarr", "arm.safetensors"])
+def test_info(work: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    prtnet("info", work / name)
+    assert "bend" in capsys.readouterr().out
+
+
+def test_another_scene_is_refused(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other, model = tmp_path / "other.glb", work / "arm.safetensors"
+    write_glb(arm(segments=9), other)
+    assert "not the mesh" in failure(capsys, "evaluate", model, other)
+    out = ("--out", tmp_path / "frame.png")
+    assert "not the mesh" in failure(capsys, "render", model, other, *out)
+    assert list(tmp_path.iterdir()) == [other]
+
+
+BAD: list[tuple[Sequence[str], str]] = [
+    (("generate", "arm.zarr", "--out", "x.zarr"), "is a folder where a file is wanted"),
+    (("generate", "arm.glb", "--out", "."), "other files, not replaced"),
+    (("generate", "arm.glb", "--out", "x.zarr", "--holdout", "bnd"), "did you mean 'bend'"),
+    (("generate", "arm.glb", "--out", "x.zarr", "--rays", "0"), "--rays: must be at least 1"),
+    (("train", "arm.glb", "--out", "x.safetensors"), "is not a dataset"),
+    (("train", "arm.zarr", "--out", "x.safetensors", "--preset", "papre"), "'paper'"),
+    (("train", "arm.zarr", "--out", "x.safetensors", "--device", "abacus"), "--device"),
+    (("train", "arm.zarr", "--out", "no/x.safetensors"), "there is no folder"),
+    (("evaluate", "arm.glb", "arm.zarr"), "arm.glb: "),
+    (("evaluate", "arm.safetensors", "arm.zarr", "--clips", "bnd"), "did you mean 'bend'"),
+    (("evaluate", "arm.safetensors", "arm.zarr", "--dump", "x.npz"), "needs a scene"),
+    (("evaluate", "arm.safetensors", "arm.glb", "--fps", "0"), "--fps: is 0"),
+    (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--clip", "bnd"), "'bend'"),
+    (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--time", "9"), "0 to 4 s"),
+    (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--light", "suno"), "'sunset'"),
+    (("render", "arm.safetensors", "arm.glb", "--out", "arm.glb"), "is also an input"),
+    (("export", "arm.safetensors", "--out", "."), "other files, not replaced"),
+    (("info", "arm.png"), "does not exist"),
+]
+
+
+@pytest.mark.parametrize(("argv", "told"), BAD, ids=[" ".join(argv) for argv, _ in BAD])
+def test_misuse_is_one_line(
+    argv: Sequence[str],
+    told: str,
+    work: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(work)
+    before = sorted(work.iterdir())
+    assert told in failure(capsys, *argv)
+    assert sorted(work.iterdir()) == before  # nothing is left behind
+
+
+@pytest.mark.parametrize("step", cli.demo_steps(Path("demo"), ["dance"], "cpu"), ids=str)
+def test_steps_of_the_demonstration_parse(
+    step: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "demo").mkdir()
+    assert "does not exist" in failure(capsys, *step)
