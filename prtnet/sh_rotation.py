@@ -81,7 +81,8 @@ def rotate_zxzxz(coefficients: Array, rotation: Array) -> Array:
 
     R = Rz(α) Ry(β) Rz(γ) with Ry(β) = Rx(−90°) Rz(β) Rx(90°). A turn about z mixes only the pairs
     (l, ±m), by the angle m·α; a quarter turn about x is a constant, sparse matrix. The linear band
-    is the axis (−f_11, −f_1−1, f_10), turned by R itself. ``zxzxz_multiplications`` counts them.
+    is the axis (−f_11, −f_1−1, f_10), turned by R itself. ``zxzxz_multiplications`` counts them. Differentiable but where R keeps the
+    z axis or turns it over; ``rotate`` is everywhere.
 
     Args:
         coefficients: f, (..., n²).
@@ -236,11 +237,10 @@ def _checked(rotation: Any) -> Any:
     if rotation.ndim < 2 or tuple(rotation.shape[-2:]) != (3, 3):
         raise ValueError(f"a rotation must have shape (..., 3, 3), not {tuple(rotation.shape)}")
     xp = library(rotation)
-    first, second, third = (rotation[..., axis] for axis in range(3))
-    # first × second = third with all three of unit length: orthogonal and right-handed.
     gram = rotation.swapaxes(-1, -2) @ rotation - constant_like(np.eye(3), rotation)
     if not bool((abs(gram) <= ORTHOGONALITY_TOLERANCE).all()):
         raise ValueError("not a rotation: its columns are not orthonormal")
+    first, second, third = (rotation[..., axis] for axis in range(3))
     handed = (xp.linalg.cross(first, second) * third).sum(-1)
     if not bool((handed > 0).all()):
         raise ValueError("a reflection (determinant −1), not a rotation: flip one axis of it")
