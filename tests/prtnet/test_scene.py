@@ -293,7 +293,7 @@ def cache(frames: Any, faces: Any, fps: float = 2.0) -> PointCacheScene:
     return PointCacheScene("c", None, "", np.array(faces, np.int32), (clip,), frames, fps)
 
 
-RISING = np.array(QUAD, float) + [[[0, 0, 0]], [[0, 0, 1]], [[0, 0, 4]]]
+RISING = np.add(QUAD, [[[0, 0, 0]], [[0, 0, 1]], [[0, 0, 4]]])
 
 
 def test_frames_are_blended_and_held_at_the_ends() -> None:
