@@ -109,6 +109,19 @@ def test_triangles_that_share_edges_cover_every_pixel_once(jitter):
     assert (times == 1).all()
 
 
+def test_edges_that_run_far_out_of_the_picture_stay_shared():
+    # A fan from a point in the picture to points at 10¹³ times its size.
+    angle = np.linspace(0, 2 * np.pi, 41)[:-1] + 0.01
+    rim = 3e13 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    positions = np.concatenate([[[0.123, -0.077, 0.0]], rim])
+    times = np.zeros((64, 64))
+    for k in range(40):
+        face = np.array([[0, 1 + k, 1 + (k + 1) % 40]])
+        drawn = rasterise(positions, face, np.ones_like(positions), np.eye(4), (64, 64))
+        times += drawn[..., 3]
+    assert (times == 1).all()
+
+
 def test_a_closed_mesh_has_no_pinholes():
     # From outside a closed mesh only fronts are seen; a lost pixel would show a back.
     surface = knot(detail=4)
@@ -160,9 +173,11 @@ def test_degenerate_and_gigantic_triangles():
     line, point = [[-1, -1, 0], [0, 0, 0], [1, 1, 0]], [[0.1, 0.1, 0]] * 3
     giant = [[-1e9, -1e9, 0.5], [1e9, -1e9, 0.5], [0, 1e9, 0.5]]
     thin = [[-1, 0.25, 0], [1, 0.25, 0], [1, 0.25 + 1e-7, 0]]
-    positions = np.array(line + point + giant + thin, dtype=float)
-    colours = np.repeat([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [1, 1, 1]], 3, axis=0)
-    drawn = rasterise(positions, np.arange(12).reshape(-1, 3), colours, np.eye(4), size)
+    beyond = [[-1, -1, 0], [1e308, 0, 0], [0, 1, 0]]  # overflows when it is projected
+    positions = np.array(line + point + giant + thin + beyond, dtype=float)
+    colours = np.repeat([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [1, 1, 1], [1, 1, 0]], 3, axis=0)
+    matrix = np.diag([10.0, 10.0, 1.0, 10.0])
+    drawn = rasterise(positions, np.arange(15).reshape(-1, 3), colours, matrix, size)
     assert (drawn == [0, 0, 1, 1]).all()
 
 

@@ -111,7 +111,7 @@ def test_damage_is_told_in_one_line(tmp_path, linear, write, change, message):
         read_hdr(save(tmp_path, change(write(encode(linear)))))
 
 
-@pytest.mark.parametrize("run", [b"\x00\x07", bytes([128 + 12, 7])])
+@pytest.mark.parametrize("run", [b"\x01\x05\x00", bytes([128 + 12, 7])])
 def test_a_run_that_is_empty_or_crosses_components_is_damage(tmp_path, run):
     row = b"\2\2\0\x09" + run + bytes([137, 1]) * 4
     with pytest.raises(PrtnetError, match="damaged"):

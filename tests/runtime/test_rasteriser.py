@@ -77,7 +77,9 @@ def test_crossing_surfaces_cut_each_other_where_they_meet():
     assert (drawn[:, 10:, 0] == 1).all()
 
 
-def test_of_equally_deep_surfaces_the_first_drawn_stays():
+@pytest.mark.parametrize("block", [1, 1000])
+def test_of_equally_deep_surfaces_the_first_drawn_stays(monkeypatch, block):
+    monkeypatch.setattr(rasteriser, "FACE_BLOCK", block)
     size = (6, 6)
     corners = pixels(np.array([[0, 0], [12, 0], [0, 12]]), size)
     faces = np.array([[0, 1, 2], [3, 4, 5]])
