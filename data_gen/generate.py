@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from data_gen.pose_plan import PosePlan, plan_poses
 from data_gen.visibility import PoseTracer, TracedPose
+from prtnet.arrays import BoolArray, FloatArray
 from prtnet.dataset import Block, DatasetWriter
 from prtnet.errors import PrtnetError
 from prtnet.frames import FrameField, rest_tangents
@@ -146,38 +148,34 @@ def traced_blocks(
     writer: DatasetWriter,
     blocks: Sequence[int],
     tracer: PoseTracer,
-    pool: ThreadPoolExecutor,
+    pool: Executor,
     threads: int,
 ) -> Iterator[tuple[int, Block]]:
-    """Blocks in order; the pool is at most two poses a thread ahead of the block being filled."""
-    spans = [(block, index) for block in blocks for index in range(len(plan))[writer.span(block)]]
-    ahead: list[Future[TracedPose]] = []
-    coming = iter(spans)
-
-    def submit() -> None:
-        for _, index in coming:
-            pose = plan.poses(slice(index, index + 1))[0][0]
-            ahead.append(pool.submit(tracer, pose))
-            if len(ahead) >= 2 * threads:
-                break
-
+    """Blocks in order, with enough of the next ones under way to keep all threads busy."""
+    ahead: deque[tuple[int, FloatArray, BoolArray, list[Future[TracedPose]]]] = deque()
+    depth = 1 + -(-threads // writer.block)
     try:
-        for block in blocks:
-            span = writer.span(block)
-            poses, sources = plan.poses(span)
-            traced = []
-            for _ in range(len(poses)):
-                submit()
-                traced.append(ahead.pop(0).result())
-            submit()
-            yield block, assemble(plan, span, poses, sources, traced)
+        for turn in range(len(blocks) + depth):
+            if turn < len(blocks):
+                poses, sources = plan.poses(writer.span(blocks[turn]))
+                futures = [pool.submit(tracer, pose) for pose in poses]
+                ahead.append((blocks[turn], poses, sources, futures))
+            if turn >= depth and ahead:
+                block, poses, sources, futures = ahead.popleft()
+                traced = [future.result() for future in futures]
+                yield block, assemble(plan, writer.span(block), poses, sources, traced)
     finally:
-        for future in ahead:
-            future.cancel()
+        for _, _, _, futures in ahead:
+            for future in futures:
+                future.cancel()
 
 
 def assemble(
-    plan: PosePlan, span: slice, poses: Any, sources: Any, traced: Sequence[TracedPose]
+    plan: PosePlan,
+    span: slice,
+    poses: FloatArray,
+    sources: BoolArray,
+    traced: Sequence[TracedPose],
 ) -> Block:
     """One block of the dataset."""
     return Block(
@@ -193,7 +191,7 @@ def assemble(
 
 
 def describe(
-    scene: Scene, config: GenerateConfig, plan: PosePlan, receivers: Receivers, tangents: Any
+    scene: Scene, config: GenerateConfig, plan: PosePlan, receivers: Receivers, tangents: FloatArray
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The attributes of a dataset, and its arrays that no pose changes."""
     rest = receivers.gather(scene.rest())

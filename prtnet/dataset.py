@@ -252,7 +252,9 @@ class DatasetWriter:
         poses: int,
         block: int,
     ) -> None:
-        self.path = Path(path)
+        self.path = Path(path).resolve()
+        if self.path.exists() and not (self.path / "zarr.json").is_file():
+            raise PrtnetError(path, "exists and is not a dataset; give another --out")
         self.poses, self.block = poses, block
         self.partial = self.path.with_name(f".{self.path.name}.partial")
         self._markers = self.partial / MARKERS

@@ -111,10 +111,10 @@ def rotation_sequences(scene: PointCacheScene) -> FloatArray:
 def principal_directions(positions: FloatArray, labels: IntArray) -> FloatArray:
     """Principal directions (C, 3, 3) of each cluster's vertices, as rows."""
     member = scipy.sparse.csr_array((np.ones(len(labels)), (labels, np.arange(len(labels)))))
-    uses = np.asarray(member.sum(axis=1)).ravel()[:, None]
+    uses = np.bincount(labels)[:, None]
     centred = positions - ((member @ positions) / uses)[labels]
     products = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9)
-    _, axes = np.linalg.eigh((member @ products).reshape(-1, 3, 3))
+    _, axes = np.linalg.eigh(np.asarray(member @ products).reshape(-1, 3, 3))
     return axes.transpose(0, 2, 1)
 
 
@@ -147,7 +147,7 @@ def seamed(
         best = int(np.argmax(np.abs(agreement) + lying[:, cluster]))
         sign = -1.0 if agreement[best] < 0 else 1.0
         members = labels == cluster
-        tangents[members] = sign * unit(choices[best, members], (0.0, 0.0, 0.0))
+        tangents[members] = sign * choices[best, members]
         links += np.bincount(labels[j[mine]], weight[mine], clusters)
     return tangents_beside(tangents, normals)
 
@@ -167,8 +167,7 @@ def perpendicular(vectors: FloatArray, normals: FloatArray) -> FloatArray:
 
 def tangents_beside(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     """Unit tangents nearest to ``vectors`` (..., 3); any where a vector is along the normal."""
-    vectors = unit(vectors, (0.0, 0.0, 0.0))
-    flat = perpendicular(vectors, normals)
+    flat = perpendicular(unit(vectors), normals)
     short = np.linalg.norm(flat, axis=-1, keepdims=True) < SMALLEST
     flat = np.where(short, any_tangent(normals), flat)
     return unit(perpendicular(unit(flat), normals), (1.0, 0.0, 0.0))
