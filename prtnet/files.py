@@ -1,4 +1,4 @@
-"""Outputs appear under their final name only when they are whole; inputs are named by their hash."""
+"""Outputs appear under their final name only when whole; inputs are named by their hash."""
 
 from __future__ import annotations
 

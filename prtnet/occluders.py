@@ -59,7 +59,8 @@ def fit_spheres(
     """Spheres inside the skin: k-means of each joint's own vertices, in the joint's frame.
 
     Each joint gets spheres in proportion to its vertices, at least one where it owns at least
-    eight; the radius is 0.9 × the mean distance of a sphere's vertices from their centroid.
+    eight (or any at all, on meshes so small that none does); the radius is 0.9 × the mean distance
+    of a sphere's vertices from their centroid.
 
     Args:
         positions: vertices of the mesh at rest, (V, 3).
@@ -72,10 +73,12 @@ def fit_spheres(
     from sklearn.cluster import KMeans
 
     owner = np.argmax(joint_weights, axis=1)
+    owned = np.bincount(owner, minlength=joint_weights.shape[1])
+    fewest = 8 if owned.max() >= 8 else 1
     joints, centres, radii = [], [], []
     for joint in range(joint_weights.shape[1]):
         own = positions[owner == joint].astype(np.float64)
-        if len(own) < 8:
+        if len(own) < fewest:
             continue
         linear, offset = joint_matrices[joint, :, :3], joint_matrices[joint, :, 3]
         local = (own - offset) @ np.linalg.pinv(linear.astype(np.float64)).T

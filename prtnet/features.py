@@ -1,0 +1,176 @@
+"""What a regressor sees of a pose: joint angles, or the occluders around each cluster.
+
+These are the reference evaluations; the ONNX graph repeats them in portable operators.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from prtnet import sh
+from prtnet.arrays import FloatArray, IntArray
+from prtnet.occluders import Spheres, cap_integrals
+
+__all__ = ["Features", "JointAngles", "Occluders", "features_from_arrays"]
+
+SMALLEST = 1e-12  # squared lengths below it are no direction
+
+
+class Features(ABC):
+    """A map from flattened poses (P, D) to features (P, 1 or C, F), float32."""
+
+    kind: ClassVar[str]
+
+    @abstractmethod
+    def __call__(self, poses: FloatArray) -> FloatArray:
+        """Features of flattened poses (P, D): (P, 1, F) for all clusters or (P, C, F)."""
+
+    @abstractmethod
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
+        """The arrays that define it, for a model file."""
+
+
+def joint_matrices(poses: FloatArray, joints: int) -> FloatArray:
+    """Model-space joint matrices (P, J, 3, 4) at the head of flattened poses (P, D)."""
+    return poses[:, : 12 * joints].reshape(len(poses), joints, 3, 4)
+
+
+def directions(vectors: FloatArray, axis: int = -1) -> FloatArray:
+    """Unit vectors along ``axis``; a vanishing one stays (nearly) zero."""
+    square = np.sum(vectors * vectors, axis=axis, keepdims=True)
+    return vectors / np.sqrt(np.maximum(square, SMALLEST))
+
+
+@dataclass(frozen=True, eq=False)
+class JointAngles(Features):
+    """Six floats a joint: two columns of its rotation relative to its parent joint; morph weights.
+
+    "Arbitrary BRDFs" section 5.1.
+
+    Attributes:
+        joint: the joints that move, (A,).
+        parent: the parent joint of each, -1 for none, (A,).
+        joints: number of joints in a pose.
+    """
+
+    kind: ClassVar[str] = "joint_angles"
+    joint: IntArray
+    parent: IntArray
+    joints: int
+
+    def __call__(self, poses: FloatArray) -> FloatArray:
+        """See :class:`Features`."""
+        rotation = directions(joint_matrices(poses, self.joints)[..., :3], axis=-2)
+        child = rotation[:, self.joint]
+        identity = np.eye(3, dtype=poses.dtype)
+        has_parent = (self.parent >= 0)[:, None, None]
+        parent = np.where(has_parent, rotation[:, np.maximum(self.parent, 0)], identity)
+        local = np.swapaxes(parent, -1, -2) @ child  # [P, A, 3, 3]
+        angles = local[..., :2].reshape(len(poses), -1)
+        morphs = poses[:, 12 * self.joints :]
+        return np.concatenate([angles, morphs], axis=1)[:, None].astype(np.float32)
+
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
+        """See :class:`Features`."""
+        return {"joint": self.joint, "parent": self.parent, "joints": np.array([self.joints])}
+
+
+@dataclass(frozen=True, eq=False)
+class Occluders(Features):
+    """SH of the caps that nearby spheres cover, seen from each cluster in its own joint's frame.
+
+    For each of a cluster's reference points, the sum over its spheres of the cap's SH. It ignores
+    global motion and everything far away, and is nearly linear in what visibility does. Morph
+    weights follow, the same for every cluster. Joints may be scaled, each by one factor.
+
+    Attributes:
+        spheres: the occluders.
+        cluster_joint: the dominant joint of each cluster, (C,).
+        point: reference points in that joint's frame, (C, M, 3).
+        near: the spheres that matter to each reference point, (C, M, K).
+        order: of the spherical harmonics; (M · order²) features a cluster.
+        joints: number of joints in a pose.
+    """
+
+    kind: ClassVar[str] = "occluders"
+    spheres: Spheres
+    cluster_joint: IntArray
+    point: FloatArray
+    near: IntArray
+    order: int
+    joints: int
+
+    def __call__(self, poses: FloatArray) -> FloatArray:
+        """See :class:`Features`."""
+        clusters, points, _ = self.near.shape
+        count = max(1, 2_000_000 // max(1, self.near.size * self.order**2))
+        parts = [self._block(poses[i : i + count]) for i in range(0, len(poses), count)]
+        caps = np.concatenate(parts).reshape(len(poses), clusters, points * self.order**2)
+        morphs = poses[:, None, 12 * self.joints :]
+        shape = (len(poses), clusters, morphs.shape[-1])
+        return np.concatenate([caps, np.broadcast_to(morphs, shape)], axis=-1).astype(np.float32)
+
+    def _block(self, poses: FloatArray) -> FloatArray:
+        cosine, direction = self.seen(poses)
+        integrals = 2.0 * np.pi * cap_integrals(cosine, self.order)
+        degree = np.repeat(np.arange(self.order), 2 * np.arange(self.order) + 1)
+        return np.einsum(
+            "pcmki,pcmki->pcmi", integrals[..., degree], sh.evaluate(direction, self.order)
+        )
+
+    def seen(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Each reference point's spheres: cos θ of the cap and local direction to the centre.
+
+        Returns:
+            (P, C, M, K) and (P, C, M, K, 3). A point inside a sphere sees a half-space blocked.
+        """
+        matrices = joint_matrices(poses, self.joints)
+        linear, offset = matrices[..., :3], matrices[..., 3]
+        ridden = self.spheres.joint
+        centre = (linear[:, ridden] @ self.spheres.centre[..., None])[..., 0] + offset[:, ridden]
+        radius = self.spheres.radius * np.linalg.norm(linear[..., 0][:, ridden], axis=-1)  # [P, S]
+        home, home_offset = linear[:, self.cluster_joint], offset[:, self.cluster_joint]
+        square = np.maximum(np.sum(home * home, axis=-2, keepdims=True), SMALLEST)
+        shape = (len(poses), *self.near.shape)
+        near = self.near.reshape(len(self.near), -1)
+        away = centre[:, near] - home_offset[:, :, None]  # [P, C, M·K, 3]
+        local = (away @ (home / square)).reshape(*shape, 3) - self.point[:, :, None]
+        distance2 = np.maximum(np.sum(local * local, axis=-1), SMALLEST)
+        own_radius = radius[:, near] / np.sqrt(square[:, :, 0, :1])
+        sine2 = np.minimum(own_radius.reshape(shape) ** 2 / distance2, 1.0)
+        return np.sqrt(1.0 - sine2), local / np.sqrt(distance2)[..., None]
+
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
+        """See :class:`Features`."""
+        return {
+            "sphere_joint": self.spheres.joint,
+            "sphere_centre": self.spheres.centre,
+            "sphere_radius": self.spheres.radius,
+            "cluster_joint": self.cluster_joint,
+            "point": self.point,
+            "near": self.near,
+            "order": np.array([self.order]),
+            "joints": np.array([self.joints]),
+        }
+
+
+def features_from_arrays(kind: str, arrays: dict[str, Any]) -> Features:
+    """The inverse of :meth:`Features.arrays`.
+
+    Raises:
+        KeyError: an array is missing, or the kind is unknown.
+    """
+    joints = int(arrays["joints"][0])
+    if kind == JointAngles.kind:
+        return JointAngles(arrays["joint"], arrays["parent"], joints)
+    if kind == Occluders.kind:
+        spheres = Spheres(arrays["sphere_joint"], arrays["sphere_centre"], arrays["sphere_radius"])
+        order = int(arrays["order"][0])
+        return Occluders(
+            spheres, arrays["cluster_joint"], arrays["point"], arrays["near"], order, joints
+        )
+    raise KeyError(kind)

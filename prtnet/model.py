@@ -1,0 +1,250 @@
+"""Clustered models of visibility: their file, and the plain NumPy evaluation all others must match.
+
+For each cluster of receivers ("Arbitrary BRDFs" section 5): features of the pose, reduced by an
+input PCA; a regressor from those to a few latents; an output PCA from the latents to the cluster's
+visibility. Every cluster has the same number of receiver slots, so that all clusters are evaluated
+as one batch; latents are counted cluster by cluster.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+from prtnet.arrays import FloatArray, IntArray
+from prtnet.errors import PrtnetError
+from prtnet.features import Features, features_from_arrays
+from prtnet.files import writing
+
+__all__ = ["FORMAT_VERSION", "KINDS", "Regressor", "VisibilityModel"]
+
+FORMAT_VERSION = 1
+KINDS = ("constant", "linear", "neural")
+
+
+@dataclass(frozen=True, eq=False)
+class Regressor:
+    """Reduced inputs to latents, per cluster: linear, or one hidden layer of tanh (eq. 12).
+
+    Attributes:
+        weight: (C, N, L) from the hidden layer, or (C, K, L) from the inputs where there is none.
+        bias: (C, L).
+        hidden_weight, hidden_bias: (C, K, N) and (C, N); None for a linear regressor.
+    """
+
+    weight: FloatArray
+    bias: FloatArray
+    hidden_weight: FloatArray | None = None
+    hidden_bias: FloatArray | None = None
+
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Latents (P, C, L) of reduced inputs (P, C, K)."""
+        value = np.swapaxes(inputs, 0, 1)
+        if self.hidden_weight is not None and self.hidden_bias is not None:
+            value = np.tanh(value @ self.hidden_weight + self.hidden_bias[:, None])
+        return np.swapaxes(value @ self.weight + self.bias[:, None], 0, 1)
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """The arrays that are not None, by name."""
+        named = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {name: array for name, array in named.items() if array is not None}
+
+
+@dataclass(frozen=True, eq=False)
+class VisibilityModel:
+    """A fitted model: pose in, every receiver's visibility in its local frame out.
+
+    Attributes:
+        kind: one of ``KINDS``.
+        order: n of the spherical harmonics.
+        features: what is computed of a pose.
+        input_mean, input_basis: (1 or C, F) and (1 or C, F, K): x → (x − mean) · basis.
+        regressor: from reduced inputs to latents.
+        latents: how many of the L latents each cluster uses, (C,).
+        receivers: the receiver in every slot of every cluster, (C, R); −1 for an empty slot.
+        mean: each cluster's mean visibility, (C, R · n²).
+        basis: the clusters' principal components one after the other, (Σ latents, R · n²).
+        rest_tangents: receivers' tangents at rest, (V, 3): they fix the local frames.
+        metadata: format version, configuration, training and held-out errors, fingerprints.
+    """
+
+    kind: str
+    order: int
+    features: Features
+    input_mean: FloatArray
+    input_basis: FloatArray
+    regressor: Regressor
+    latents: IntArray
+    receivers: IntArray
+    mean: FloatArray
+    basis: FloatArray
+    rest_tangents: FloatArray
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def receiver_count(self) -> int:
+        """Number of receivers V."""
+        return len(self.rest_tangents)
+
+    @property
+    def pose_size(self) -> int:
+        """Length D of a flattened pose."""
+        return int(self.metadata["pose_size"])
+
+    @property
+    def slot_of_receiver(self) -> IntArray:
+        """Where each receiver sits in the flattened (C · R) slots, (V,)."""
+        flat = self.receivers.ravel()
+        slots = np.empty(self.receiver_count, dtype=np.int32)
+        slots[flat[flat >= 0]] = np.flatnonzero(flat >= 0)
+        return slots
+
+    def check_pose(self, poses: FloatArray) -> None:
+        """Raise PrtnetError where poses are not (P, D) of this model, or not finite."""
+        if poses.ndim != 2 or poses.shape[1] != self.pose_size:
+            raise PrtnetError(
+                "pose",
+                f"has shape {poses.shape}, the model wants (poses, {self.pose_size}); "
+                "it may belong to another scene",
+            )
+        if not np.isfinite(poses).all():
+            raise PrtnetError("pose", "holds values that are not finite; check the animation")
+
+    def reduced(self, poses: FloatArray) -> FloatArray:
+        """Reduced inputs (P, C, K) of flattened poses (P, D)."""
+        features = np.swapaxes(self.features(poses), 0, 1)  # [1 or C, P, F]
+        inputs = (features - self.input_mean[:, None]) @ self.input_basis
+        shape = (len(self.latents), len(poses), inputs.shape[-1])
+        return np.swapaxes(np.broadcast_to(inputs, shape), 0, 1)
+
+    def latent(self, poses: FloatArray) -> FloatArray:
+        """Latents (P, C, L) of flattened poses (P, D); those a cluster does not use are zero."""
+        used = np.arange(self.regressor.weight.shape[-1]) < self.latents[:, None]
+        return np.where(used, self.regressor(self.reduced(poses)), 0.0)
+
+    def decode(self, latent: FloatArray) -> FloatArray:
+        """Visibility (P, V, n²) float32 of latents (P, C, L)."""
+        clusters, width = self.mean.shape
+        slots = np.empty((len(latent), clusters, width), dtype=np.float32)
+        start = 0
+        for cluster, count in enumerate(self.latents):
+            basis = self.basis[start : start + count]
+            slots[:, cluster] = self.mean[cluster] + latent[:, cluster, :count] @ basis
+            start += count
+        return slots.reshape(len(latent), -1, self.order**2)[:, self.slot_of_receiver]
+
+    def encode(self, visibility: FloatArray) -> FloatArray:
+        """The latents (P, C, L) that come closest to visibility (P, V, n²)."""
+        clusters = len(self.receivers)
+        empty = (self.receivers < 0)[..., None]
+        latent = np.zeros((len(visibility), clusters, int(self.latents.max(initial=0))))
+        start = 0
+        for cluster, count in enumerate(self.latents):
+            own = visibility[:, np.maximum(self.receivers[cluster], 0)]
+            own = np.where(empty[cluster], 0.0, own).reshape(len(visibility), -1)
+            basis = self.basis[start : start + count]
+            latent[:, cluster, :count] = (own - self.mean[cluster]) @ basis.T
+            start += count
+        return latent
+
+    def __call__(self, poses: FloatArray) -> FloatArray:
+        """Visibility (P, V, n²) float32, local frames, of flattened poses (P, D)."""
+        self.check_pose(poses)
+        return self.decode(self.latent(poses))
+
+    def save(self, path: str | Path) -> None:
+        """Write one ``.safetensors`` file: arrays, and a JSON header in its metadata."""
+        header = {
+            **self.metadata,
+            "format_version": FORMAT_VERSION,
+            "kind": self.kind,
+            "order": self.order,
+            "features": self.features.kind,
+        }
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        arrays |= {f"regressor.{name}": a for name, a in self.regressor.arrays().items()}
+        arrays |= {f"features.{name}": a for name, a in self.features.arrays().items()}
+        arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        with writing(path) as partial:
+            safetensors.numpy.save_file(arrays, partial, {"prtnet": json.dumps(header)})
+
+    @classmethod
+    def load(cls, path: str | Path) -> VisibilityModel:
+        """Read a model file.
+
+        Raises:
+            PrtnetError: it is missing, not a model, damaged, or of another format version.
+        """
+        header, arrays = read(Path(path))
+        version = header.get("format_version")
+        if version != FORMAT_VERSION:
+            raise PrtnetError(
+                path,
+                f"has format version {version}, this prtnet reads {FORMAT_VERSION}; train it anew",
+            )
+        try:
+            parts: dict[str, dict[str, Any]] = {"features": {}, "regressor": {}}
+            for name, array in arrays.items():
+                room, _, rest = name.partition(".")
+                if rest:
+                    parts[room][rest] = array
+            model = cls(
+                kind=str(header["kind"]),
+                order=int(header["order"]),
+                features=features_from_arrays(header["features"], parts["features"]),
+                regressor=Regressor(**parts["regressor"]),
+                **{name: arrays[name] for name in ARRAYS},
+                metadata=header,
+            )
+            check_shapes(model)
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise PrtnetError(
+                path, f"is not a whole prtnet model ({error}); train it anew"
+            ) from error
+        return model
+
+
+ARRAYS = ("input_mean", "input_basis", "latents", "receivers", "mean", "basis", "rest_tangents")
+
+
+def read(path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
+    """Header and arrays of a safetensors file."""
+    if not path.is_file():
+        raise PrtnetError(path, "does not exist or is no file; give a trained .safetensors model")
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            text = (file.metadata() or {}).get("prtnet")
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        header = json.loads(text) if text else None
+    except (OSError, ValueError, safetensors.SafetensorError) as error:
+        raise PrtnetError(path, f"is damaged or no safetensors file ({error})") from error
+    if not isinstance(header, dict):
+        raise PrtnetError(path, "is a safetensors file but no prtnet model; train one first")
+    return header, arrays
+
+
+def check_shapes(model: VisibilityModel) -> None:
+    """Raise ValueError where arrays do not fit each other."""
+    clusters, slots = model.receivers.shape
+    width = slots * model.order**2
+    expected = {
+        "mean": (clusters, width),
+        "basis": (int(model.latents.sum()), width),
+        "latents": (clusters,),
+    }
+    for name, shape in expected.items():
+        if getattr(model, name).shape != shape:
+            raise ValueError(f"{name} has shape {getattr(model, name).shape}, expected {shape}")
+    flat = np.sort(model.receivers[model.receivers >= 0])
+    if not np.array_equal(flat, np.arange(model.receiver_count)):
+        raise ValueError("receivers are not each in exactly one slot")
+    for name in ARRAYS:
+        if not np.isfinite(getattr(model, name)).all():
+            raise ValueError(f"{name} holds values that are not finite")

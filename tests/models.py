@@ -1,0 +1,91 @@
+"""Small random models and poses: what tests of evaluation and export need."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from prtnet.features import Features, JointAngles, Occluders
+from prtnet.model import Regressor, VisibilityModel
+from prtnet.occluders import Spheres
+
+
+def random_poses(count: int, joints: int, morphs: int = 0, seed: int = 0) -> np.ndarray:
+    """Poses of joints scattered in a two-metre box, all turned and scaled at random."""
+    rng = np.random.default_rng(seed)
+    rotation = Rotation.random(count * joints, rng=rng).as_matrix().reshape(count, joints, 3, 3)
+    scale = rng.uniform(0.5, 2.0, (count, joints, 1, 1))
+    offset = rng.uniform(-1.0, 1.0, (count, joints, 3, 1))
+    matrices = np.concatenate([rotation * scale, offset], axis=-1).reshape(count, -1)
+    weights = rng.uniform(0.0, 1.0, (count, morphs))
+    return np.concatenate([matrices, weights], axis=1).astype(np.float32)
+
+
+def random_features(kind: str, joints: int, clusters: int, order: int, seed: int = 0) -> Features:
+    rng = np.random.default_rng(seed)
+    if kind == "joint_angles":
+        parent = np.arange(-1, joints - 1)
+        moving = np.arange(0, joints, 2)
+        return JointAngles(moving.astype(np.int32), parent[moving].astype(np.int32), joints)
+    spheres = Spheres(
+        rng.integers(0, joints, 11).astype(np.int32),
+        rng.normal(0, 0.2, (11, 3)).astype(np.float32),
+        rng.uniform(0.02, 0.6, 11).astype(np.float32),
+    )
+    return Occluders(
+        spheres,
+        rng.integers(0, joints, clusters).astype(np.int32),
+        rng.normal(0, 0.3, (clusters, 3, 3)).astype(np.float32),
+        rng.integers(0, 11, (clusters, 3, 7)).astype(np.int32),
+        order,
+        joints,
+    )
+
+
+def random_model(
+    kind: str = "neural",
+    features: str = "occluders",
+    joints: int = 5,
+    morphs: int = 0,
+    clusters: int = 6,
+    receivers: int = 40,
+    feature_order: int = 5,
+    seed: int = 0,
+) -> VisibilityModel:
+    """A model whose every array is random, with clusters of unequally many latents."""
+    rng = np.random.default_rng(seed)
+    seen = random_features(features, joints, clusters, feature_order, seed)
+    width = seen(random_poses(1, joints, morphs)).shape[-1]
+    order, inputs, neurons, most = 3, 4, 6, 5
+    capacity = -(-receivers // clusters)
+    slots = np.full(clusters * capacity, -1, dtype=np.int32)
+    slots[:receivers] = rng.permutation(receivers)
+    rng.shuffle(slots)
+    latents = rng.choice([0, 2, most], clusters).astype(np.int32)
+    if kind == "constant":
+        latents[:] = 0
+    shared = 1 if features == "joint_angles" else clusters
+
+    def normal(*shape: int) -> np.ndarray:
+        return rng.normal(size=shape).astype(np.float32)
+
+    hidden = neurons if kind == "neural" else inputs
+    return VisibilityModel(
+        kind=kind,
+        order=order,
+        features=seen,
+        input_mean=normal(shared, width),
+        input_basis=normal(shared, width, inputs) / width**0.5,
+        regressor=Regressor(
+            normal(clusters, hidden, most),
+            normal(clusters, most),
+            normal(clusters, inputs, neurons) if kind == "neural" else None,
+            normal(clusters, neurons) if kind == "neural" else None,
+        ),
+        latents=latents,
+        receivers=slots.reshape(clusters, capacity),
+        mean=normal(clusters, capacity * order**2),
+        basis=normal(int(latents.sum()), capacity * order**2),
+        rest_tangents=normal(receivers, 3),
+        metadata={"pose_size": 12 * joints + morphs, "format_version": 1},
+    )

@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from prtnet.errors import PrtnetError
+from prtnet.model import VisibilityModel
+from tests.models import random_model, random_poses
+
+
+def slow(model, pose):
+    """One receiver at a time, straight from the definition."""
+    inputs = model.reduced(pose[None])[0]
+    result = np.zeros((model.receiver_count, model.order**2))
+    starts = np.concatenate([[0], np.cumsum(model.latents)])
+    regressor = model.regressor
+    for cluster, slots in enumerate(model.receivers):
+        value = inputs[cluster]
+        if regressor.hidden_weight is not None:
+            value = np.tanh(
+                value @ regressor.hidden_weight[cluster] + regressor.hidden_bias[cluster]
+            )
+        latent = value @ regressor.weight[cluster] + regressor.bias[cluster]
+        for slot, receiver in enumerate(slots):
+            if receiver < 0:
+                continue
+            own = slice(slot * model.order**2, (slot + 1) * model.order**2)
+            result[receiver] = model.mean[cluster, own]
+            for k in range(model.latents[cluster]):
+                result[receiver] += latent[k] * model.basis[starts[cluster] + k, own]
+    return result
+
+
+@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+@pytest.mark.parametrize("features", ["joint_angles", "occluders"])
+def test_equals_the_definition(kind, features):
+    model = random_model(kind, features)
+    poses = random_poses(3, 5)
+    expected = np.stack([slow(model, pose) for pose in poses])
+    assert np.allclose(model(poses), expected, rtol=1e-4, atol=1e-4)
+
+
+def test_encode_inverts_decode_for_orthonormal_components():
+    model = random_model()
+    starts = np.concatenate([[0], np.cumsum(model.latents)])
+    for cluster, slots in enumerate(model.receivers):
+        rows = model.basis[starts[cluster] : starts[cluster + 1]]
+        rows = rows * np.repeat(slots >= 0, model.order**2)
+        model.basis[starts[cluster] : starts[cluster + 1]] = np.linalg.qr(rows.T)[0].T
+    latent = model.latent(random_poses(2, 5))
+    most = int(model.latents.max())
+    assert np.allclose(model.encode(model.decode(latent)), latent[..., :most], atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+def test_file_round_trip(kind, tmp_path):
+    model = random_model(kind)
+    model.save(tmp_path / "m.safetensors")
+    again = VisibilityModel.load(tmp_path / "m.safetensors")
+    poses = random_poses(2, 5)
+    assert again.kind == kind
+    assert np.array_equal(again(poses), model(poses))
+
+
+def test_wrong_poses_are_told(tmp_path):
+    model = random_model()
+    with pytest.raises(PrtnetError, match=r"wants \(poses, 60\)"):
+        model(random_poses(2, 4))
+    broken = random_poses(2, 5)
+    broken[1, 3] = np.nan
+    with pytest.raises(PrtnetError, match="not finite"):
+        model(broken)
+
+
+def rewrite(path, change_header=None, change_arrays=None):
+    arrays = safetensors.numpy.load_file(path)
+    with safetensors.safe_open(path, "numpy") as file:
+        header = json.loads(file.metadata()["prtnet"])
+    if change_header:
+        change_header(header)
+    if change_arrays:
+        change_arrays(arrays)
+    safetensors.numpy.save_file(arrays, path, {"prtnet": json.dumps(header)})
+
+
+@pytest.mark.parametrize(
+    ("header", "arrays", "told"),
+    [
+        (lambda h: h.update(format_version=99), None, "format version 99"),
+        (lambda h: h.pop("kind"), None, "not a whole prtnet model"),
+        (lambda h: h.update(features="tea_leaves"), None, "not a whole prtnet model"),
+        (None, lambda a: a.pop("mean"), "not a whole prtnet model"),
+        (None, lambda a: a.update(basis=a["basis"][1:]), "basis has shape"),
+        (None, lambda a: a["mean"].fill(np.nan), "not finite"),
+        (None, lambda a: a["receivers"].fill(0), "exactly one slot"),
+    ],
+)
+def test_damaged_models_are_told(header, arrays, told, tmp_path):
+    path = tmp_path / "m.safetensors"
+    random_model().save(path)
+    rewrite(path, header, arrays)
+    with pytest.raises(PrtnetError, match=told):
+        VisibilityModel.load(path)
+
+
+def test_files_that_are_no_models(tmp_path):
+    with pytest.raises(PrtnetError, match="does not exist"):
+        VisibilityModel.load(tmp_path / "none.safetensors")
+    (tmp_path / "text").write_text("hello")
+    with pytest.raises(PrtnetError, match="damaged or no safetensors"):
+        VisibilityModel.load(tmp_path / "text")
+    safetensors.numpy.save_file({"a": np.zeros(2)}, tmp_path / "other.safetensors")
+    with pytest.raises(PrtnetError, match="no prtnet model"):
+        VisibilityModel.load(tmp_path / "other.safetensors")
+    random_model().save(tmp_path / "m.safetensors")
+    whole = (tmp_path / "m.safetensors").read_bytes()
+    (tmp_path / "m.safetensors").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(PrtnetError, match="damaged"):
+        VisibilityModel.load(tmp_path / "m.safetensors")
+
+
+def test_nothing_is_left_when_writing_fails(tmp_path):
+    with pytest.raises(PrtnetError, match="cannot be written"):
+        random_model().save(tmp_path / "nowhere" / "m.safetensors")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,76 @@
+"""How a model is fitted: one typed configuration, saved whole in the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from prtnet.errors import PrtnetError
+
+__all__ = ["PRESETS", "TrainConfig"]
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Options of `prtnet train`."""
+
+    kind: Literal["constant", "linear", "neural"] = "neural"
+    """The regressor: none at all, ridge regression, or one hidden layer of tanh."""
+    features: Literal["joint_angles", "occluders"] = "occluders"
+    """What it sees: the papers' joint angles, or the occluders around each cluster."""
+    clusters: int = 64
+    """Clusters of receivers, equally large."""
+    neurons: int = 32
+    """Neurons in each cluster's hidden layer."""
+    networks: int = 2
+    """Networks fitted from different starts and averaged into one of networks × neurons."""
+    output_variance: float = 0.99
+    """Fraction of the visibility's variance that the output components keep."""
+    latents: float = 14.0
+    """At most so many output components a cluster, on average."""
+    input_variance: float = 0.995
+    """Fraction of the features' variance that the input components keep."""
+    inputs: int = 30
+    """At most so many input components a cluster."""
+    spheres: int = 128
+    """About how many occluding spheres are fitted to the skin."""
+    points: int = 3
+    """Reference points in each cluster that look at the spheres."""
+    near: int = 24
+    """Spheres that each reference point looks at."""
+    feature_order: int = 5
+    """Bands of the spherical harmonics of what a reference point sees, at most 5."""
+    alpha: float | None = None
+    """Weight decay; chosen by cross-validation over whole clips when not given."""
+    iterations: int = 200
+    """Of L-BFGS, at most."""
+    seed: int = 0
+    """Of clusters, spheres and starting weights."""
+    device: str = "cpu"
+    """Where torch fits: cpu, or cuda."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        least = {"clusters": 1, "neurons": 1, "networks": 1, "inputs": 1, "iterations": 1}
+        least |= {"spheres": 1, "points": 1, "near": 1, "feature_order": 1, "latents": 0}
+        for name, bound in least.items():
+            if getattr(self, name) < bound:
+                raise PrtnetError(f"--{name.replace('_', '-')}", f"must be at least {bound}")
+        if self.feature_order > 5:
+            raise PrtnetError("--feature-order", "must be at most 5")
+        for name in ("output_variance", "input_variance"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise PrtnetError(f"--{name.replace('_', '-')}", "must be above 0 and at most 1")
+        if self.alpha is not None and self.alpha < 0:
+            raise PrtnetError("--alpha", "must not be negative")
+
+
+PRESETS: dict[str, TrainConfig] = {
+    "default": TrainConfig(),
+    "small": TrainConfig(clusters=32, neurons=16, networks=1, latents=6, inputs=16, spheres=64),
+    "large": TrainConfig(neurons=48, networks=4, latents=64, output_variance=0.97, near=32),
+    "paper": TrainConfig(
+        features="joint_angles", networks=1, latents=1e9, output_variance=0.95, input_variance=0.9
+    ),
+}
+"""Named starting points: the papers' own choices among them."""

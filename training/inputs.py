@@ -1,0 +1,104 @@
+"""Features fitted to a dataset's scene: which joints move, where each cluster looks from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prtnet.arrays import FloatArray, IntArray
+from prtnet.features import JointAngles, Occluders, joint_matrices
+from prtnet.occluders import fit_spheres
+
+__all__ = ["fit_joint_angles", "fit_occluders", "moving_joints"]
+
+STILL = 1e-4  # a joint whose six floats never leave this range does not move
+
+
+def fit_joint_angles(poses: FloatArray, parents: IntArray) -> JointAngles:
+    """Joint angles of the joints that move in flattened poses (P, D); parents (J,)."""
+    every = JointAngles(np.arange(len(parents), dtype=np.int32), parents, len(parents))
+    moving = moving_joints(every(poses)[:, 0, : 6 * len(parents)])
+    return JointAngles(moving, parents[moving], len(parents))
+
+
+def moving_joints(angles: FloatArray) -> IntArray:
+    """Joints whose six floats (P, 6·J) change over the poses."""
+    spread = np.ptp(angles.reshape(len(angles), -1, 6), axis=0).max(axis=1)
+    return np.flatnonzero(spread > STILL).astype(np.int32)
+
+
+def farthest_points(points: FloatArray, count: int) -> FloatArray:
+    """``count`` of the points (N, 3), spread out: the centroid of each k-means part."""
+    from sklearn.cluster import KMeans
+
+    count = min(count, len(np.unique(points, axis=0)))
+    return KMeans(count, n_init=2, random_state=0).fit(points).cluster_centers_
+
+
+def fit_occluders(
+    poses: FloatArray,
+    slots: IntArray,
+    rest_positions: FloatArray,
+    rest_normals: FloatArray,
+    joint_weights: FloatArray,
+    rest_pose: FloatArray,
+    points: int = 3,
+    near: int = 24,
+    spheres: int = 128,
+    order: int = 5,
+    seed: int = 0,
+) -> Occluders:
+    """Occluder features for clusters of receivers.
+
+    Reference points are centroids of parts of the cluster, lifted by 2 % of the scene's height
+    along the mean normal. Each keeps the spheres, not on its own joint, that ever cover most of
+    its view.
+
+    Args:
+        poses: training poses, flattened, (P, D).
+        slots: receivers of each cluster, (C, R), −1 for empty.
+        rest_positions: receivers at rest, (V, 3).
+        rest_normals: their normals, (V, 3).
+        joint_weights: (V, J).
+        rest_pose: the pose of that rest, (D,).
+        points: M reference points a cluster.
+        near: K spheres a point.
+        spheres: about how many to fit to the whole skin.
+        order: of the caps' spherical harmonics.
+        seed: of k-means.
+    """
+    joints = joint_weights.shape[1]
+    rest = joint_matrices(rest_pose[None], joints)[0].astype(np.float64)
+    fitted = fit_spheres(rest_positions, joint_weights, rest, spheres, seed=seed)
+    height = float(np.ptp(rest_positions[:, 1])) or float(np.ptp(rest_positions)) or 1.0
+    home = np.zeros(len(slots), dtype=np.int32)
+    where = np.zeros((len(slots), points, 3), dtype=np.float32)
+    for cluster, own in enumerate(slots):
+        own = own[own >= 0]
+        home[cluster] = np.argmax(joint_weights[own].sum(axis=0))
+        centres = farthest_points(rest_positions[own].astype(np.float64), points)
+        nearest = np.argmin(((rest_positions[own][:, None] - centres) ** 2).sum(axis=-1), axis=1)
+        for k in range(points):
+            part = own[nearest == k % len(centres)]
+            normal = rest_normals[part].sum(axis=0, dtype=np.float64)
+            normal /= np.linalg.norm(normal) or 1.0
+            lifted = centres[k % len(centres)] + 0.02 * height * normal
+            linear, offset = rest[home[cluster], :, :3], rest[home[cluster], :, 3]
+            where[cluster, k] = np.linalg.pinv(linear) @ (lifted - offset)
+    candidates = np.broadcast_to(
+        np.arange(len(fitted), dtype=np.int32), (len(slots), points, len(fitted))
+    )
+    every = Occluders(fitted, home, where, candidates, order, joints)
+    return Occluders(fitted, home, where, nearest_spheres(every, poses, near), order, joints)
+
+
+def nearest_spheres(every: Occluders, poses: FloatArray, near: int) -> IntArray:
+    """For each reference point the ``near`` spheres of other joints that cover most, (C, M, K)."""
+    most = np.zeros(every.near.shape)
+    for start in range(0, len(poses), 16):
+        cosine, _ = every.seen(poses[start : start + 16])
+        most = np.maximum(most, (1.0 - cosine).max(axis=0))
+    own = every.spheres.joint[None, :] == every.cluster_joint[:, None]  # [C, S]
+    score = np.where(own[:, None], -1.0, most)
+    fewest_foreign = int((~own).sum(axis=1).min())
+    count = max(1, min(near, fewest_foreign))
+    return np.argsort(-score, axis=-1)[..., :count].astype(np.int32)

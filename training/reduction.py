@@ -1,0 +1,130 @@
+"""Principal components: of each cluster's visibility, and of its features."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from prtnet.arrays import BoolArray, FloatArray, IntArray
+
+__all__ = ["OutputReduction", "input_reduction", "reduce_output"]
+
+
+@dataclass(frozen=True, eq=False)
+class OutputReduction:
+    """The kept principal components of every cluster's visibility.
+
+    Attributes:
+        mean: (C, R · n²) float32; zero in empty slots.
+        basis: for each cluster its components, (latents[c], R · n²) float32.
+        latents: components kept, (C,).
+        targets: the training poses' latents, (C, P, L) float64; zero beyond a cluster's latents.
+    """
+
+    mean: FloatArray
+    basis: list[FloatArray]
+    latents: IntArray
+    targets: FloatArray
+
+
+def choose_counts(
+    eigenvalues: FloatArray, variance: float, average: float | None, step: int
+) -> IntArray:
+    """Components kept in each cluster, (C,), of eigenvalues (C, P), descending.
+
+    The largest eigenvalues of the *whole* model are kept, so that components go where the error
+    is: as many as the fraction ``variance`` of all variance needs, at most ``average`` a cluster.
+    Counts are then rounded to multiples of ``step``, so that few different sizes remain.
+    """
+    flat = np.sort(eigenvalues.ravel())[::-1]
+    total = flat.sum()
+    if not total > 0:
+        return np.zeros(len(eigenvalues), dtype=np.int64)
+    kept = int(np.searchsorted(np.cumsum(flat), variance * total) + 1)
+    positive = int((flat > 1e-12 * flat[0]).sum())
+    kept = min(kept, positive)
+    if average is not None:
+        kept = min(kept, int(average * len(eigenvalues)))
+    counts = (eigenvalues >= flat[max(kept - 1, 0)]).sum(axis=1) if kept else np.zeros(1, int)
+    rounded = np.rint(counts / step).astype(np.int64) * step
+    # A cluster that varies at all keeps one component, whatever the rounding says.
+    rounded = np.where((rounded == 0) & (counts > 0), np.minimum(counts, step), rounded)
+    return np.minimum(rounded, (eigenvalues > 1e-12 * flat[0]).sum(axis=1))
+
+
+def reduce_output(
+    visibility: FloatArray,
+    slots: IntArray,
+    variance: float,
+    average: float | None = None,
+    step: int = 4,
+) -> OutputReduction:
+    """Clustered PCA of visibility (P, V, n²) over poses.
+
+    Eigenvectors come from the P × P Gram matrix of each cluster: poses are fewer than values.
+
+    Args:
+        visibility: of the training poses.
+        slots: receivers of each cluster, (C, R), −1 for empty.
+        variance: fraction of the model's total variance to keep.
+        average: at most so many components a cluster on average.
+        step: component counts are multiples of it.
+    """
+    poses, _, bands = visibility.shape
+    width = slots.shape[1] * bands
+    mean = np.zeros((len(slots), width), dtype=np.float32)
+    values = np.zeros((len(slots), poses))
+    vectors = np.zeros((len(slots), poses, poses), dtype=np.float32)
+
+    def deviations(cluster: int) -> FloatArray:
+        own = slots[cluster]
+        block = visibility[:, np.maximum(own, 0)] * (own >= 0)[:, None].astype(np.float32)
+        block = block.reshape(poses, width)
+        mean[cluster] = block.mean(axis=0, dtype=np.float64)
+        return block - mean[cluster]
+
+    for cluster in range(len(slots)):
+        block = deviations(cluster)
+        gram = (block @ block.T).astype(np.float64) / poses
+        eigenvalues, eigenvectors = np.linalg.eigh(gram)
+        values[cluster] = np.maximum(eigenvalues[::-1], 0.0)
+        vectors[cluster] = eigenvectors[:, ::-1]
+    latents = choose_counts(values, variance, average, step)
+    targets = np.zeros((len(slots), poses, int(latents.max(initial=0))))
+    basis = []
+    for cluster, count in enumerate(latents):
+        block = deviations(cluster)
+        # components = Vᵀ X / √(P λ): orthonormal rows
+        scale = 1.0 / np.sqrt(poses * np.maximum(values[cluster, :count], 1e-300))
+        rows = (vectors[cluster, :, :count].T @ block) * scale[:, None]
+        basis.append(rows.astype(np.float32))
+        targets[cluster, :, :count] = block @ basis[-1].T
+    return OutputReduction(mean, basis, latents, targets)
+
+
+def input_reduction(
+    features: FloatArray, variance: float, most: int, fit_on: BoolArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (C, F) and scaled basis (C, F, K) of features (P, C, F): x → (x − mean) · basis.
+
+    All clusters keep as many components as the neediest one, at most ``most``. The basis is
+    divided by the root mean variance of the kept components: inputs have about unit scale, and
+    components keep their relative size.
+    """
+    table = np.swapaxes(features if fit_on is None else features[fit_on], 0, 1)
+    table = table.astype(np.float64)
+    mean = table.mean(axis=1)
+    centred = table - mean[:, None]
+    covariance = np.swapaxes(centred, 1, 2) @ centred / table.shape[1]
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    eigenvalues = np.maximum(eigenvalues[:, ::-1], 0.0)
+    vectors = vectors[:, :, ::-1]
+    total = eigenvalues.sum(axis=1, keepdims=True)
+    reached = np.cumsum(eigenvalues, axis=1) >= variance * total - 1e-15
+    needed = np.argmax(reached, axis=1) + 1
+    count = int(min(most, needed.max(), features.shape[2]))
+    kept = eigenvalues[:, :count].mean(axis=1)
+    scale = 1.0 / np.sqrt(np.where(kept > 1e-20, kept, np.inf))  # a constant input gives zero
+    basis = vectors[:, :, :count] * scale[:, None, None]
+    return mean.astype(np.float32), basis.astype(np.float32)

@@ -1,0 +1,90 @@
+"""Weight decay by cross-validation over whole clips.
+
+Poses of one clip are near copies of each other: a random split would flatter every model. A pose
+sampled from a held-back clip is held back with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from prtnet.arrays import BoolArray
+from training.regression import Fit
+
+__all__ = ["Fold", "choose_alpha", "folds_over_clips"]
+
+ALPHAS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
+FEWEST_POSES = 4  # a fold that trains on fewer says nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """Which poses a fold fits and which it validates on, (P,) each."""
+
+    train: BoolArray
+    validate: BoolArray
+
+
+def folds_over_clips(sources: BoolArray, most: int = 4) -> list[Fold]:
+    """Folds that leave whole clips out.
+
+    Args:
+        sources: the clips each training pose was taken or mixed from, (P, clips).
+        most: clips are grouped into at most so many folds, of about equally many poses.
+
+    Returns:
+        No folds where there are fewer than two clips to tell apart.
+    """
+    single: BoolArray = np.asarray(sources.sum(axis=1) == 1)
+    used = np.flatnonzero(sources[single].any(axis=0))
+    sizes = sources[single][:, used].sum(axis=0)
+    groups: list[list[int]] = [[] for _ in range(min(most, len(used)))]
+    for clip in np.argsort(-sizes, kind="stable"):  # the largest first, into the smallest group
+        smallest = min(groups, key=lambda g: int(sizes[g].sum()) if g else 0)
+        smallest.append(int(clip))
+    folds = []
+    for group in groups if len(used) > 1 else []:
+        tainted: BoolArray = np.any(sources[:, used[group]], axis=1)
+        clean = single & tainted
+        if (~tainted).sum() >= FEWEST_POSES:
+            folds.append(Fold(~tainted, clean))
+    return folds
+
+
+def choose_alpha(
+    fit: Callable[[Tensor, Tensor, float], Fit],
+    inputs: Tensor,
+    targets: Tensor,
+    folds: Sequence[Fold],
+    alphas: Sequence[float] = ALPHAS,
+    on_candidate: Callable[[float, float], None] | None = None,
+) -> tuple[float, dict[float, float]]:
+    """The α of least validation error, and every candidate's relative error of the latents.
+
+    Args:
+        fit: (inputs (C, P, K), targets (C, P, L), α) to a fit.
+        inputs: of all training poses, (C, P, K).
+        targets: their latents, (C, P, L).
+        folds: from :func:`folds_over_clips`.
+        alphas: candidates.
+        on_candidate: called with each α and its error.
+    """
+    signal = sum(float(targets[:, fold.validate].square().sum()) for fold in folds)
+    errors: dict[float, float] = {}
+    for alpha in alphas:
+        lost = 0.0
+        for fold in folds:
+            train = torch.from_numpy(np.flatnonzero(fold.train))
+            validate = torch.from_numpy(np.flatnonzero(fold.validate))
+            fitted = fit(inputs[:, train], targets[:, train], alpha)
+            residual = fitted(inputs[:, validate]) - targets[:, validate]
+            lost += float(residual.square().sum())
+        errors[alpha] = (lost / max(signal, 1e-30)) ** 0.5
+        if on_candidate is not None:
+            on_candidate(alpha, errors[alpha])
+    return min(errors, key=lambda a: errors[a]), errors

@@ -1,0 +1,261 @@
+"""A dataset and a configuration in, a fitted model out. Reads from top to bottom."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from prtnet import __version__
+from prtnet.arrays import FloatArray, IntArray
+from prtnet.dataset import Dataset
+from prtnet.errors import PrtnetError
+from prtnet.features import Features
+from prtnet.metrics import ErrorSum
+from prtnet.model import FORMAT_VERSION, Regressor, VisibilityModel
+from training.clusters import balanced_clusters, cluster_coordinates
+from training.config import TrainConfig
+from training.inputs import fit_joint_angles, fit_occluders
+from training.reduction import input_reduction, reduce_output
+from training.regression import Fit, average, fit_linear, fit_neural
+from training.selection import Fold, choose_alpha, folds_over_clips
+
+__all__ = ["Monitor", "Silent", "train"]
+
+DEFAULT_ALPHA = 3e-3  # where there is only one clip and nothing to cross-validate with
+TRIAL_ITERATIONS = 60  # cross-validation compares, it need not converge
+
+
+class Monitor(Protocol):
+    """Who watches a fit."""
+
+    def stage(self, text: str) -> None:
+        """A new stage begins."""
+
+    def progress(self, done: int, total: int, loss: float) -> None:
+        """Iterations done of the present fit, and the mean objective over clusters."""
+
+    def scalar(self, name: str, value: float, step: int) -> None:
+        """A figure to plot."""
+
+    def histogram(self, name: str, values: FloatArray, step: int) -> None:
+        """A distribution to plot."""
+
+
+class Silent:
+    """A monitor that says nothing."""
+
+    def stage(self, text: str) -> None:
+        """Nothing."""
+
+    def progress(self, done: int, total: int, loss: float) -> None:
+        """Nothing."""
+
+    def scalar(self, name: str, value: float, step: int) -> None:
+        """Nothing."""
+
+    def histogram(self, name: str, values: FloatArray, step: int) -> None:
+        """Nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Reduced inputs (C, P, K) and targets (C, P, L) as tensors."""
+
+    inputs: Tensor
+    targets: Tensor
+
+
+def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None) -> VisibilityModel:
+    """Fit a clustered model to the training clips of a dataset.
+
+    Raises:
+        PrtnetError: the dataset has no training poses, or no features of this kind.
+    """
+    watch = monitor or Silent()
+    started = time.perf_counter()
+    rows = dataset.training_poses()
+    if len(rows) == 0:
+        raise PrtnetError(dataset.path, "holds no training poses; hold out fewer clips")
+    visibility, poses = dataset.read("visibility", rows), dataset.read("pose", rows)
+
+    watch.stage("clusters and components")
+    coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
+    slots = balanced_clusters(coordinates, config.clusters, config.seed)
+    variance = 0.0 if config.kind == "constant" else config.output_variance
+    output = reduce_output(visibility, slots, variance, config.latents)
+    del visibility
+
+    watch.stage("features")
+    features = fit_features(dataset, poses, slots, config)
+    values = features(poses)
+    mean, basis = input_reduction(values, config.input_variance, config.inputs)
+    inputs = (np.swapaxes(values, 0, 1) - mean[:, None]) @ basis
+    inputs = np.broadcast_to(inputs, (len(slots), *inputs.shape[1:]))
+    data = to_device(inputs, output.targets, config.device)
+
+    folds = folds_over_clips(dataset.read("sources", rows).astype(bool))
+    alpha, trials = select(data, config, folds, watch)
+    watch.stage(f"{config.kind} fit, α = {alpha:g}")
+    fit_started = time.perf_counter()
+    fits = fit(data, config, alpha, watch)
+    fit_seconds = time.perf_counter() - fit_started
+    result = average(fits)
+
+    model = VisibilityModel(
+        kind=config.kind,
+        order=dataset.order,
+        features=features,
+        input_mean=mean,
+        input_basis=basis,
+        regressor=to_regressor(result),
+        latents=output.latents.astype(np.int32),
+        receivers=slots,
+        mean=output.mean,
+        basis=np.concatenate(output.basis),
+        rest_tangents=dataset.rest_tangents,
+        metadata=describe(dataset, config, features, alpha, trials, fits),
+    )
+    report_errors(model, dataset, watch)
+    model.metadata["seconds"] = {
+        "fit": fit_seconds,
+        "total": time.perf_counter() - started,
+    }
+    return model
+
+
+def fit_features(
+    dataset: Dataset, poses: FloatArray, slots: IntArray, config: TrainConfig
+) -> Features:
+    """The configured features, fitted to the dataset's scene."""
+    if dataset.joint_weights is None or dataset.joint_parents is None:
+        raise PrtnetError(
+            dataset.path, "is a point cache; models of point caches are not trained by this version"
+        )
+    if config.features == "joint_angles":
+        return fit_joint_angles(poses, dataset.joint_parents)
+    return fit_occluders(
+        poses, slots, dataset.rest_positions, dataset.rest_normals, dataset.joint_weights,
+        dataset.rest_pose, points=config.points, near=config.near, spheres=config.spheres,
+        order=config.feature_order, seed=config.seed,
+    )  # fmt: skip
+
+
+def to_device(inputs: FloatArray, targets: FloatArray, device: str) -> Prepared:
+    """Tensors on the device, float32: the closed forms keep their accuracy (see the tests)."""
+    try:
+        where = torch.device(device)
+        return Prepared(
+            *(torch.tensor(a, dtype=torch.float32, device=where) for a in (inputs, targets))
+        )
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise PrtnetError("--device", f"'{device}' cannot be used ({reason}); use cpu") from error
+
+
+def select(
+    data: Prepared, config: TrainConfig, folds: list[Fold], watch: Monitor
+) -> tuple[float, dict[float, float]]:
+    """α as configured, or by cross-validation over clips."""
+    if config.alpha is not None:
+        return config.alpha, {}
+    if config.kind == "constant" or len(folds) < 2 or data.targets.shape[2] == 0:
+        return DEFAULT_ALPHA, {}
+    watch.stage(f"cross-validation over clips, {len(folds)} folds")
+
+    def trial(inputs: Tensor, targets: Tensor, alpha: float) -> Fit:
+        if config.kind == "linear":
+            return fit_linear(inputs, targets, alpha)
+        return fit_neural(inputs, targets, config.neurons, alpha, TRIAL_ITERATIONS, config.seed)
+
+    def show(alpha: float, error: float) -> None:
+        watch.scalar("cross_validation/error", error, round(alpha * 1e6))
+
+    return choose_alpha(trial, data.inputs, data.targets, folds, on_candidate=show)
+
+
+def fit(data: Prepared, config: TrainConfig, alpha: float, watch: Monitor) -> list[Fit]:
+    """The final fits: one, or several networks from different starts."""
+    if config.kind != "neural" or data.targets.shape[2] == 0:
+        return [fit_linear(data.inputs, data.targets, alpha)]
+    fits = []
+    for network in range(config.networks):
+
+        def on_iteration(iteration: int, values: Tensor, network: int = network) -> None:
+            done = network * config.iterations + iteration + 1
+            loss = float(values.mean())
+            watch.progress(done, config.networks * config.iterations, loss)
+            watch.scalar(f"fit/objective_{network}", loss, iteration)
+            if iteration % 25 == 0:
+                watch.histogram(f"fit/objective_{network}", values.cpu().numpy(), iteration)
+
+        seed = config.seed + network
+        size, limit = config.neurons, config.iterations
+        fitted = fit_neural(data.inputs, data.targets, size, alpha, limit, seed, on_iteration)
+        fits.append(fitted)
+        watch.histogram("fit/iterations", fitted.iterations.numpy(), network)
+    return fits
+
+
+def to_regressor(fitted: Fit) -> Regressor:
+    """As float32 NumPy arrays."""
+
+    def array(tensor: Tensor | None) -> FloatArray | None:
+        return None if tensor is None else tensor.cpu().numpy().astype(np.float32)
+
+    weight, bias = array(fitted.weight), array(fitted.bias)
+    assert weight is not None
+    assert bias is not None
+    return Regressor(weight, bias, array(fitted.hidden_weight), array(fitted.hidden_bias))
+
+
+def describe(
+    dataset: Dataset, config: TrainConfig, features: Features, alpha: float,
+    trials: dict[float, float], fits: list[Fit],
+) -> dict[str, Any]:  # fmt: skip
+    """What the model file says about itself."""
+    status = [text for fitted in fits for text in fitted.status]
+    moving = getattr(features, "joint", None)
+    names = dataset.joint_names
+    still = [] if moving is None else sorted(set(range(len(names))) - set(moving.tolist()))
+    return {
+        "prtnet": __version__,
+        "format_version": FORMAT_VERSION,
+        "config": dataclasses.asdict(config),
+        "alpha": alpha,
+        "cross_validation": {f"{a:g}": e for a, e in trials.items()},
+        "fit_status": {text: status.count(text) for text in sorted(set(status))},
+        "dropped_joints": [names[joint] for joint in still],
+        "pose_size": int(dataset.pose_size),
+        "scene_kind": dataset.scene_kind,
+        "scene_name": dataset.scene_name,
+        "scene_sha256": dataset.scene_sha256,
+        "mesh_sha256": dataset.mesh_sha256,
+        "two_sided": dataset.two_sided,
+        "clips": list(dataset.clip_names),
+        "held_out": list(dataset.held_out),
+    }
+
+
+def report_errors(model: VisibilityModel, dataset: Dataset, watch: Monitor) -> None:
+    """Training and held-out errors by the reference evaluation, into the metadata."""
+    for name, rows in (
+        ("training", dataset.training_poses()),
+        ("held_out", dataset.held_out_poses()),
+    ):
+        if len(rows) == 0:
+            continue
+        watch.stage(f"{name.replace('_', '-')} error")
+        total = ErrorSum()
+        for start in range(0, len(rows), 16):
+            block = rows[start : start + 16]
+            total.add(model(dataset.read("pose", block)), dataset.read("visibility", block))
+        summary = total.summary()
+        model.metadata[f"{name}_error"] = summary
+        watch.scalar(f"error/{name}", summary["rms"], 0)
+        watch.histogram(f"error/{name}_by_receiver", total.relative(), 0)
