@@ -222,6 +222,16 @@ def test_a_second_set_of_weights_counts(tmp_path: Path) -> None:
     np.testing.assert_allclose(rest.positions[0, :, 2], 2.5)
 
 
+def test_a_primitive_without_joints_hangs_on_the_node_of_its_skinned_mesh(tmp_path: Path) -> None:
+    b = skinned()
+    attributes = b.json["meshes"][0]["primitives"][0]["attributes"]
+    bare = {key: attributes[key] for key in ("POSITION", "NORMAL")}
+    b.json["meshes"][0]["primitives"].append({"attributes": bare})
+    rest = read(b.glb(tmp_path / "x.glb")).rest().positions[0]
+    np.testing.assert_allclose(rest[3:], np.add(TRIANGLE, 9))
+    np.testing.assert_allclose(rest[:3], np.add(TRIANGLE, [0, 0, 2.5]))
+
+
 def test_the_node_of_a_skinned_mesh_does_not_move_it(tmp_path: Path) -> None:
     b = skinned()
     b.clip((0, "translation", [0, 1], [[0, 0, 0], [7, 7, 7]], "LINEAR"))
@@ -367,13 +377,22 @@ def test_quantised_vertices(tmp_path: Path) -> None:
     np.testing.assert_allclose(scene.rest().positions[0], [[0, 0, 0], [-4, 0, 0], [0, 3, 0]])
     assert scene.normals is not None
     np.testing.assert_allclose(scene.normals, [[0, 0, 1], [1, 0, 0], [0, -1, 0]])
-    attributes["POSITION"] = b.accessor([[0, 0, 0], [-127, 0, 0], [0, 127, 0]], "i1", stride=4,
+    attributes["POSITION"] = b.accessor([[0, 0, 0], [-128, 0, 0], [0, 127, 0]], "i1", stride=4,
                                         normalized=True)  # fmt: skip
     rest = read(b.glb(tmp_path / "x.glb")).rest().positions[0]
     np.testing.assert_allclose(rest, [[0, 0, 0], [-0.5, 0, 0], [0, 0.5, 0]])
 
 
-def sparse(b: Builder, count: int, slots: list[int], values: Any) -> dict[str, Any]:
+def test_normals_are_made_unit(tmp_path: Path) -> None:
+    b = rigid()
+    attributes = b.json["meshes"][0]["primitives"][0]["attributes"]
+    attributes["NORMAL"] = b.accessor([[0, 0, 3], [0, 0.1, 0], [0, 0, 0]])
+    scene = read(b.glb(tmp_path / "x.glb"))
+    assert scene.normals is not None
+    np.testing.assert_allclose(scene.normals, [[0, 0, 1], [0, 1, 0], [0, 1, 0]])
+
+
+def sparse(b: Builder, slots: list[int], values: Any) -> dict[str, Any]:
     return {
         "count": len(slots),
         "indices": {"bufferView": b.view(np.array(slots, "<u2").tobytes()), "componentType": 5123},
@@ -385,15 +404,18 @@ def test_sparse_accessors(tmp_path: Path) -> None:
     b = rigid()
     primitive = b.json["meshes"][0]["primitives"][0]
     accessor = b.json["accessors"][primitive["attributes"]["POSITION"]]
-    accessor["sparse"] = sparse(b, 3, [2], [[5, 6, 7]])
+    accessor["sparse"] = sparse(b, [2], [[5, 6, 7]])
     b.json["accessors"].append(
         {"componentType": 5126, "count": 3, "type": "VEC3",
-         "sparse": sparse(b, 3, [0, 1], [[1, 0, 0], [0, 1, 0]])}
+         "sparse": sparse(b, [0, 1], [[1, 0, 0], [0, 1, 0]])}
     )  # fmt: skip
     primitive["targets"] = [{"POSITION": len(b.json["accessors"]) - 1}]
     b.json["nodes"][0]["weights"] = [2.0]
     rest = read(b.glb(tmp_path / "x.glb")).rest().positions[0]
     np.testing.assert_allclose(rest, [[2, 0, 0], [1, 2, 0], [5, 6, 7]])
+    accessor["sparse"] = sparse(b, [3], [[5, 6, 7]])
+    with pytest.raises(PrtnetError, match="index 3 but there are only 3"):
+        read(b.glb(tmp_path / "x.glb"))
 
 
 def test_buffers_inside_and_beside_the_file(tmp_path: Path) -> None:
