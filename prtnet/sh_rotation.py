@@ -81,8 +81,8 @@ def rotate_zxzxz(coefficients: Array, rotation: Array) -> Array:
 
     R = Rz(α) Ry(β) Rz(γ) with Ry(β) = Rx(−90°) Rz(β) Rx(90°). A turn about z mixes only the pairs
     (l, ±m), by the angle m·α; a quarter turn about x is a constant, sparse matrix. The linear band
-    is the axis (−f_11, −f_1−1, f_10), turned by R itself. ``zxzxz_multiplications`` counts them. Differentiable but where R keeps the
-    z axis or turns it over; ``rotate`` is everywhere.
+    is the axis (−f_11, −f_1−1, f_10), turned by R itself. ``zxzxz_multiplications`` counts them.
+    Not differentiable where R keeps the z axis or turns it over; ``rotate`` is.
 
     Args:
         coefficients: f, (..., n²).
@@ -190,15 +190,16 @@ def _turn_sparse(rows: list[Any], entries: list[tuple[int, int, float]], width: 
 def _quarter_turn(band: int) -> list[tuple[int, int, float]]:
     """The (row, column, value) of one band of the rotation by 90° about x, less its zeros.
 
-    The turn takes ±y to ±z and z to −y, so it only joins functions alike under x → −x whose
-    parities under y → −y and z → −z are each other's.
+    The turn takes y to z and z to −y, so it only joins functions alike under x → −x, the one's
+    parity under y → −y being the other's under z → −z. (The third parity follows: their product
+    is that of the band.)
     """
     quarter = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     matrix = rotation_matrix(quarter, band + 1)[band * band :, band * band :]
     m = np.arange(-band, band + 1)
     y_even, z_even = m >= 0, (band + m) % 2 == 0
     x_even = y_even == (m % 2 == 0)
-    joined = (x_even[:, None] == x_even) & (y_even[:, None] == z_even) & (z_even[:, None] == y_even)
+    joined = (x_even[:, None] == x_even) & (z_even[:, None] == y_even)
     rows, columns = np.nonzero(joined)
     return [(int(i), int(j), float(matrix[i, j])) for i, j in zip(rows, columns, strict=True)]
 
