@@ -35,7 +35,11 @@ def unit_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 
 def mesh_edges(faces: IntArray, border: BoolArray) -> tuple[IntArray, BoolArray]:
-    """Edges (E, 2) and whether their ends share no neighbours but their own triangles' tips."""
+    """Edges (E, 2) and whether each may collapse without a pinch.
+
+    Its ends must share no neighbours but the tips of its own triangles; and no edge but those of
+    the border may come to join two vertices of the border: the mirror image would have it too.
+    """
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     keys = np.minimum(start, end) * len(border) + np.maximum(start, end)
     keys, triangles = np.unique(keys, return_counts=True)
@@ -44,9 +48,16 @@ def mesh_edges(faces: IntArray, border: BoolArray) -> tuple[IntArray, BoolArray]
     links = scipy.sparse.csr_array(
         (np.ones(len(pairs), dtype=np.int32), tuple(pairs.T)), shape=(len(border), len(border))
     )
-    common = np.asarray((links @ links)[edges[:, 0], edges[:, 1]]).ravel()
-    chord = border[edges].all(axis=1) & (triangles == 2)
-    return edges, (common == triangles) & ~chord
+    i, j = edges.T
+    common = np.asarray((links @ links)[i, j]).ravel()
+    held = scipy.sparse.diags_array(border.astype(np.float64))
+    common_border = np.asarray((links @ held @ links)[i, j]).ravel()
+    near_border = links @ border.astype(np.int32)
+    # One end on the border: the other end's neighbours there are that one and shared ones only.
+    inner = np.where(border[i], j, i)
+    joins = (border[i] != border[j]) & (near_border[inner] != common_border + 1)
+    chord = border[i] & border[j] & (triangles == 2)
+    return edges, (common == triangles) & ~chord & ~joins
 
 
 def independent(edges: IntArray, cost: FloatArray, count: int) -> BoolArray:

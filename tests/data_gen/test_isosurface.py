@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from data_gen.decimation import independent, mesh_edges
 from data_gen.isosurface import fill_checkerboards, polygonise
 from data_gen.skin_weights import bone_heat, strongest
 
@@ -86,3 +87,27 @@ def test_strongest_keeps_four_and_is_continuous():
     np.testing.assert_allclose(kept[0], np.array([20, 15, 10, 5, 0]) / 50, atol=1e-6)
     np.testing.assert_allclose(kept[1], [0.5, 0.5, 0, 0, 0], atol=1e-6)
     assert np.count_nonzero(strongest(np.full((1, 5), 0.2) + np.eye(5)[:1] * 1e-3).toarray()) == 1
+
+
+def test_coarsening_as_far_as_it_goes_keeps_the_topology():
+    box = np.array([0, -0.45, -0.35]), np.array([0.45] * 3)
+    vertices, faces, _ = polygonise(torus, *box, 0.03, 1.0)
+    assert len(vertices) < 100
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, uses = np.unique(edges, axis=0, return_counts=True)
+    assert set(uses) == {2}
+    assert len(vertices) - len(uses) + len(faces) == 0
+
+
+def test_chosen_edges_touch_no_neighbours_of_each_other():
+    _, faces, _ = polygonise(sphere, np.array([0, -0.35, -0.35]), np.array([0.35] * 3), 0.05, 0.06)
+    count = faces.max() + 1
+    edges, _ = mesh_edges(faces, np.zeros(count, dtype=bool))
+    cost = np.random.default_rng(1).random(len(edges))
+    chosen = independent(edges, cost, count)
+    assert chosen[np.argmin(cost)]
+    assert chosen.sum() > 5
+    owner = np.full(count, -1)
+    owner[edges[chosen]] = np.arange(chosen.sum())[:, None]
+    a, b = owner[edges].T
+    assert np.all((a == b) | (a < 0) | (b < 0))

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from data_gen import mannequin_motion as motion
+from data_gen import mannequin_rig
+from data_gen.mannequin_shape import body
 from data_gen.procedural import HELD_OUT, arm, mannequin
 from prtnet.errors import PrtnetError
 from prtnet.scene import face_normals
@@ -29,9 +31,11 @@ def corner_angles(positions, faces):
 
 
 @pytest.mark.parametrize(
-    "scene", [mannequin(), mannequin(0.04), arm(), arm(3), arm(8)], ids=lambda s: f"{s.name}"
+    ("make", "size"),
+    [(mannequin, 0.016), (mannequin, 0.04), (mannequin, 0.06), (arm, 28), (arm, 3), (arm, 8)],
 )
-def test_surface_is_one_closed_oriented_sphere(scene):
+def test_surface_is_one_closed_oriented_sphere(make, size):
+    scene = make(size)
     edges = directed_edges(scene.faces)
     keys = edges[:, 0].astype(np.int64) * scene.vertex_count + edges[:, 1]
     back = edges[:, 1].astype(np.int64) * scene.vertex_count + edges[:, 0]
@@ -63,8 +67,9 @@ def test_small_mannequin_has_the_same_body():
     assert ratio == pytest.approx(1, abs=0.05)
 
 
-@pytest.mark.parametrize("scene", [mannequin(), arm()], ids=lambda s: s.name)
-def test_normals_are_unit_and_agree_with_the_faces(scene):
+@pytest.mark.parametrize("make", [mannequin, arm])
+def test_normals_are_unit_and_agree_with_the_faces(make):
+    scene = make()
     np.testing.assert_allclose(np.linalg.norm(scene.normals, axis=1), 1, atol=1e-6)
     faces = face_normals(scene.positions.astype(np.float64), scene.faces)
     mean = scene.normals[scene.faces].mean(axis=1)
@@ -80,13 +85,22 @@ def test_triangles_are_well_shaped():
     assert corner_angles(arm().positions, arm().faces).min() > 10
 
 
-@pytest.mark.parametrize("scene", [mannequin(), arm()], ids=lambda s: s.name)
-def test_weights_sum_to_one_over_at_most_four_joints(scene):
+@pytest.mark.parametrize("make", [mannequin, arm])
+def test_weights_sum_to_one_over_at_most_four_joints(make):
+    scene = make()
     weights = scene.joint_weights
     np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-6)
     assert weights.min() >= 0
     assert np.count_nonzero(weights, axis=1).max() <= 4
     assert weights.max(axis=0).min() > 0.6  # every joint has skin of its own
+
+
+def test_joints_and_bones_lie_inside_the_body():
+    segments, _ = mannequin_rig.bones()
+    along = np.linspace(0, 1, 9)[:, None, None]
+    bones = (1 - along) * segments[:, 0] + along * segments[:, 1]
+    assert body(mannequin_rig.POSITIONS).max() < -0.008
+    assert body(bones.reshape(-1, 3)).max() < -0.008
 
 
 def test_limbs_do_not_pull_on_each_other():
