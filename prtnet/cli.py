@@ -414,20 +414,10 @@ def demo_steps(out: Path, held_out: Sequence[str], renderer: str) -> list[list[s
     scene, data, model = (str(out / f"mannequin.{kind}") for kind in ("glb", "zarr", "safetensors"))
     holdout, errors = ",".join(held_out), str(out / "errors.json")
     picture = ["--clip", held_out[0], "--compare", "truth", "--out", str(out / "frame.png")]
+    effort = ["--fps", "6", "--rays", "256", "--sample", "60"]
     return [
-        [
-            "generate",
-            scene,
-            "--out",
-            data,
-            "--holdout",
-            holdout,
-            "--rays",
-            "256",
-            "--sample",
-            "100",
-        ],
-        ["train", data, "--out", model, "--preset", "small"],
+        ["generate", scene, "--out", data, "--holdout", holdout, *effort],
+        ["train", data, "--out", model, "--preset", "small", "--alpha", "0.01"],
         ["evaluate", model, data, "--json", errors],
         ["export", model, "--out", str(out / "export")],
         ["render", model, scene, *picture, "--renderer", renderer],

@@ -115,17 +115,18 @@ class StageMonitor:
 
     def __init__(self, report: Report) -> None:
         self._report = report
-        self._stage = ""
+        self._stage, self._counted = "", False
 
     def stage(self, text: str) -> None:
         """The stage before is done and another begins, of unknown length."""
-        if self._stage:
+        if self._stage and not self._counted:
             self._report(self._stage, 1, 1)
-        self._stage = text
+        self._stage, self._counted = text, False
         self._report(text, 0, 0)
 
     def progress(self, done: int, total: int, loss: float) -> None:  # noqa: ARG002
         """Steps done of the present stage."""
+        self._counted = True
         self._report(self._stage, done, total)
 
     def scalar(self, name: str, value: float, step: int) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rich.console
 
-from prtnet.console import PATIENCE, SPARSE, Console, silent, write_json
+from prtnet.console import PATIENCE, SPARSE, Console, StageMonitor, silent, write_json
 from prtnet.errors import PrtnetError
 
 
@@ -93,6 +93,26 @@ def test_terminal_gets_a_bar_only_after_a_while(monkeypatch: pytest.MonkeyPatch)
         clock.now = 2 * PATIENCE
         report("rays", 2, 4)
     assert "rays" in screen.getvalue()
+
+
+def test_stages_of_a_fit_are_progress() -> None:
+    seen: list[tuple[str, int, int]] = []
+    monitor = StageMonitor(lambda what, done, total: seen.append((what, done, total)))
+    monitor.stage("clusters")
+    monitor.stage("fit")
+    monitor.progress(2, 2, 0.5)
+    monitor.stage("error")
+    assert seen == [("clusters", 0, 0), ("clusters", 1, 1), ("fit", 0, 0), ("fit", 2, 2),
+                    ("error", 0, 0)]  # fmt: skip
+
+
+def test_stage_of_unknown_length_is_shown_at_once() -> None:
+    screen = io.StringIO()
+    console = Console(clock=Clock())
+    console._error = rich.console.Console(file=screen, force_terminal=True, width=80)
+    with console.progress() as report:
+        report("clusters", 0, 0)
+    assert "clusters" in screen.getvalue()
 
 
 def test_json_holds_arrays_and_no_nan(tmp_path: Path) -> None:
