@@ -61,7 +61,7 @@ class Writer:
                 }
             )
             self.views.append(view)
-            self.data += data + bytes(-len(data) % 4)
+            self.data += data  # elements of 4, 8, … bytes: the next one is aligned
         return self._known[key]
 
     def file(self, document: dict[str, Any]) -> bytes:
