@@ -10,6 +10,8 @@ the neighbouring clusters. A direction field on a closed surface has singular po
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import scipy.sparse
 from scipy.cluster.vq import kmeans2
@@ -78,9 +80,11 @@ def rigid_clusters(scene: Scene, vertices: IntArray) -> IntArray:
     if isinstance(scene, SkinnedScene):
         labels: IntArray = np.argmax(scene.joint_weights[vertices], axis=1)
     elif isinstance(scene, PointCacheScene):
-        rotations = rotation_sequences(scene)[vertices]
-        count = min(CLUSTERS, len(vertices))
-        _, labels = kmeans2(rotations, count, minit="++", missing="warn", rng=0)
+        rotations = np.round(rotation_sequences(scene)[vertices], 3)
+        count = min(CLUSTERS, len(np.unique(rotations, axis=0)))
+        with warnings.catch_warnings():  # an empty cluster is no cluster
+            warnings.simplefilter("ignore", UserWarning)
+            _, labels = kmeans2(rotations, count, minit="++", missing="warn", rng=0)
     else:
         labels = np.zeros(len(vertices), dtype=np.int32)
     return np.unique(labels, return_inverse=True)[1]
