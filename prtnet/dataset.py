@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import zarr
-from zarr.codecs import BloscCodec, BloscShuffle
+from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
@@ -303,7 +303,10 @@ class DatasetWriter:
             shape=shape,
             chunks=chunks,
             dtype=dtype,
-            compressors=BloscCodec(cname="lz4", clevel=1, shuffle=BloscShuffle.shuffle),
+            compressors=(
+                BloscCodec(cname="lz4", clevel=1, shuffle=BloscShuffle.shuffle),
+                Crc32cCodec(),  # Blosc alone reads a truncated chunk as if it were whole
+            ),
         )
 
     @property

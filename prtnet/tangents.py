@@ -47,9 +47,17 @@ def rest_tangents(scene: Scene, receivers: Receivers) -> FloatArray:
     graph = surface_graph(scene.faces, receivers, positions, normals)
     labels = rigid_clusters(scene, receivers.vertex[:fronts])
     tangents = seamed(graph, labels, principal_directions(positions, labels), normals)
+    tangents = smoothed(graph, tangents, normals)
+    return np.tile(tangents, (len(receivers) // fronts, 1)).astype(np.float32)
+
+
+def smoothed(
+    graph: scipy.sparse.csr_array, tangents: FloatArray, normals: FloatArray
+) -> FloatArray:
+    """Tangents (V, 3), each drawn towards the mean of its neighbours time and again."""
     for _ in range(SWEEPS):
         tangents = tangents_beside(graph @ tangents + 0.5 * tangents, normals)
-    return np.tile(tangents, (len(receivers) // fronts, 1)).astype(np.float32)
+    return tangents
 
 
 def surface_graph(

@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
+import scipy.sparse
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -10,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from data_gen.procedural import arm
 from prtnet.frames import FrameField, orthonormal_frames, rest_tangents
 from prtnet.scene import PointCacheScene, Scene, SkinnedScene
-from prtnet.tangents import surface_graph
+from prtnet.tangents import seamed, smoothed, surface_graph
 from tests.data_gen.meshes import cache
 
 numbers = st.one_of(st.floats(-1e6, 1e6), st.sampled_from([0.0, 1.0, 1e-30, 1e30]))
@@ -153,12 +156,61 @@ def test_frames_are_smooth_over_the_surface(scene: Scene) -> None:
     assert np.mean(alike < np.cos(np.radians(30))) < 0.03
 
 
-def test_clusters_of_a_sheet_agree_on_the_tangent() -> None:
-    """Seams are settled with one sign: a flat sheet has one direction all over."""
-    scene = sheet()
+def strip() -> tuple[scipy.sparse.csr_array, np.ndarray, np.ndarray]:
+    """Neighbours, clusters and normals of a flat strip of two halves along x."""
+    scene = sheet(frames=1, size=16)
+    receivers = scene.receivers()
+    points = scene.frames[0] * np.array([1, 0, 1])
+    normals = np.tile([0.0, 1.0, 0.0], (len(points), 1))
+    graph = surface_graph(scene.faces, receivers, points, normals)
+    return graph, (points[:, 0] > 0.5).astype(int), normals
+
+
+def test_clusters_agree_on_the_sign_of_their_axes() -> None:
+    graph, labels, normals = strip()
+    axes = np.stack([np.eye(3), -np.eye(3)])
+    tangents = seamed(graph, labels, axes, normals)
+    np.testing.assert_allclose(np.abs(np.mean(tangents, axis=0)).max(), 1.0)
+
+
+def test_clusters_take_axes_in_the_surface_and_along_their_neighbours() -> None:
+    """The first half has one axis in the plane; of the other's two, the better one is taken."""
+    graph, labels, normals = strip()
+    first = Rotation.from_rotvec([0, 0, 0.7]).as_matrix().T  # z stays in the plane
+    second = Rotation.from_rotvec([0, 0.2, 0]).as_matrix().T[[2, 0, 1]]
+    tangents = seamed(graph, labels, np.stack([first, second]), normals)
+    np.testing.assert_allclose(np.abs(tangents[labels == 0] @ [0, 0, 1]), 1.0)
+    np.testing.assert_allclose(np.abs(tangents @ [0, 0, 1]) > 0.97, True)
+
+
+def test_smoothing_spreads_a_seam() -> None:
+    graph, labels, normals = strip()
+    turn = np.radians(60.0) * labels
+    before = np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=1)
+    i, j = graph.tocoo().coords
+
+    def worst(t: np.ndarray) -> float:
+        return float(np.degrees(np.arccos(np.sum(t[i] * t[j], axis=1).clip(-1, 1))).max())
+
+    assert worst(before) == pytest.approx(60.0)
+    assert worst(smoothed(graph, before, normals)) < 10.0
+
+
+def test_frames_do_not_depend_on_the_bind_space() -> None:
+    """The same character modelled lying on its side and bound from there."""
+    scene = arm(segments=12)
+    turn = Rotation.random(rng=3).as_matrix()
+    bind = scene.bone_inverse_bind.astype(np.float64).copy()
+    bind[..., :3] = bind[..., :3] @ turn
+    side = dataclasses.replace(
+        scene,
+        bone_inverse_bind=bind,
+        positions=scene.positions @ turn,
+        normals=scene.normals @ turn,
+    )
     tangents = rest_tangents(scene, scene.receivers())
-    mean = np.linalg.norm(tangents.mean(axis=0))
-    assert mean > 0.9
+    frames = [FrameField(s, s.receivers(), tangents).frames(poses_of(scene)) for s in (scene, side)]
+    np.testing.assert_allclose(frames[1], frames[0], atol=1e-4)
 
 
 def test_graph_links_neighbours_and_twins_across_soft_edges() -> None:

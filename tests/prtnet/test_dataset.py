@@ -1,0 +1,240 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zarr
+
+from prtnet.dataset import FORMAT_VERSION, POSE_ARRAYS, SAMPLED, Block, Dataset, DatasetWriter
+from prtnet.errors import PrtnetError
+
+POSES, RECEIVERS, ORDER, JOINTS, BLOCK = 10, 6, 2, 2, 4
+ATTRIBUTES = {
+    "order": ORDER,
+    "rays": 64,
+    "seed": 3,
+    "two_sided": False,
+    "scene_kind": "skinned",
+    "scene_name": "thing",
+    "scene_sha256": "a" * 64,
+    "mesh_sha256": "b" * 64,
+    "clip_names": ["walk", "run", SAMPLED],
+    "held_out": ["run"],
+    "joint_names": ["hip", "knee"],
+    "morph_count": 0,
+}
+
+
+def fixed() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(1)
+    return {
+        "faces": np.array([[0, 1, 2], [3, 4, 5]], dtype=np.int32),
+        "receiver_of_vertex": np.arange(RECEIVERS, dtype=np.int32),
+        "receiver_side": np.ones(RECEIVERS, dtype=np.int8),
+        "rest_positions": rng.normal(size=(RECEIVERS, 3)).astype(np.float32),
+        "rest_normals": rng.normal(size=(RECEIVERS, 3)).astype(np.float32),
+        "rest_tangents": rng.normal(size=(RECEIVERS, 3)).astype(np.float32),
+        "rest_pose": rng.normal(size=12 * JOINTS).astype(np.float32),
+        "joint_weights": np.zeros((RECEIVERS, JOINTS), dtype=np.float32),
+        "joint_parents": np.array([-1, 0], dtype=np.int32),
+    }
+
+
+def whole() -> Block:
+    rng = np.random.default_rng(2)
+    clip = np.array([0, 0, 0, 0, 0, 1, 1, 1, 2, 2], dtype=np.int32)
+
+    def vectors() -> np.ndarray:
+        return rng.normal(size=(POSES, RECEIVERS, 3)).astype(np.float32)
+
+    return Block(
+        visibility=rng.normal(size=(POSES, RECEIVERS, ORDER**2)).astype(np.float32),
+        pose=rng.normal(size=(POSES, 12 * JOINTS)).astype(np.float32),
+        positions=vectors(),
+        normals=vectors(),
+        tangents=vectors(),
+        clip=clip,
+        time=np.linspace(0, 1, POSES, dtype=np.float32),
+        sources=np.eye(3, dtype=bool)[clip],
+    )
+
+
+def part(block: Block, span: slice) -> Block:
+    return Block(**{name: getattr(block, name)[span] for name in POSE_ARRAYS})
+
+
+def writer(path: Path, **attributes: object) -> DatasetWriter:
+    return DatasetWriter(path, {**ATTRIBUTES, **attributes}, fixed(), POSES, BLOCK)
+
+
+def write(path: Path) -> Dataset:
+    book = writer(path)
+    for block in book.missing():
+        book.write(block, part(whole(), book.span(block)))
+    book.finish()
+    return Dataset.open(path)
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Dataset:
+    return write(tmp_path / "set.zarr")
+
+
+def test_what_is_written_is_read(dataset: Dataset) -> None:
+    for name in POSE_ARRAYS:
+        stored, expected = dataset.read(name), getattr(whole(), name)
+        assert stored.dtype == expected.dtype
+        np.testing.assert_array_equal(stored, expected)
+    for name, expected in fixed().items():
+        np.testing.assert_array_equal(getattr(dataset, name), expected)
+        assert getattr(dataset, name).dtype == expected.dtype
+    for name, value in ATTRIBUTES.items():
+        assert getattr(dataset, name) == value
+    assert dataset.attributes["format_version"] == FORMAT_VERSION
+    assert len(dataset) == POSES
+    assert dataset.pose_size == 12 * JOINTS
+
+
+def test_rows_are_read_by_number_slice_list_and_mask(dataset: Dataset) -> None:
+    expected = whole().visibility
+    mask = np.arange(POSES) % 3 == 0
+    for index in (3, -1, slice(3, 9), slice(None, None, 2), np.array([7, 1, 1]), [0, 9], mask):
+        np.testing.assert_array_equal(dataset.visibility[index], expected[index])
+
+
+def test_poses_of_held_out_and_training_clips(dataset: Dataset) -> None:
+    np.testing.assert_array_equal(dataset.held_out_poses(), [5, 6, 7])
+    np.testing.assert_array_equal(dataset.training_poses(), [0, 1, 2, 3, 4, 8, 9])
+    np.testing.assert_array_equal(dataset.poses_of(SAMPLED), [8, 9])
+
+
+def test_a_point_cache_has_no_joints(tmp_path: Path) -> None:
+    arrays = {name: value for name, value in fixed().items() if not name.startswith("joint")}
+    attributes = {**ATTRIBUTES, "scene_kind": "point_cache"}
+    book = DatasetWriter(tmp_path / "set.zarr", attributes, arrays, POSES, POSES)
+    book.write(0, whole())
+    opened = Dataset.open(book.finish())
+    assert opened.joint_weights is None
+    assert opened.joint_parents is None
+
+
+def test_nothing_stands_under_the_final_name_until_it_is_whole(tmp_path: Path) -> None:
+    book = writer(tmp_path / "set.zarr")
+    book.write(0, part(whole(), book.span(0)))
+    assert not (tmp_path / "set.zarr").exists()
+    assert book.missing() == [1, 2]
+
+
+def test_an_equal_writer_goes_on(tmp_path: Path) -> None:
+    first = writer(tmp_path / "set.zarr")
+    first.write(1, part(whole(), first.span(1)))
+    second = writer(tmp_path / "set.zarr")
+    assert second.resumed
+    assert second.missing() == [0, 2]
+    for block in (2, 0):
+        second.write(block, part(whole(), second.span(block)))
+    np.testing.assert_array_equal(Dataset.open(second.finish()).read("pose"), whole().pose)
+    assert [path.name for path in tmp_path.iterdir()] == ["set.zarr"]
+
+
+@pytest.mark.parametrize("change", [{"rays": 65}, {"scene_sha256": "c" * 64}, {"seed": 4}])
+def test_another_writer_starts_over(tmp_path: Path, change: dict[str, object]) -> None:
+    first = writer(tmp_path / "set.zarr")
+    first.write(1, part(whole(), first.span(1)))
+    second = writer(tmp_path / "set.zarr", **change)
+    assert not second.resumed
+    assert second.missing() == [0, 1, 2]
+
+
+def test_another_mesh_starts_over(tmp_path: Path) -> None:
+    writer(tmp_path / "set.zarr").write(0, part(whole(), slice(0, 4)))
+    arrays = fixed()
+    arrays["rest_tangents"] = -arrays["rest_tangents"]
+    assert not DatasetWriter(tmp_path / "set.zarr", ATTRIBUTES, arrays, POSES, BLOCK).resumed
+
+
+def test_a_new_dataset_replaces_the_old(tmp_path: Path) -> None:
+    write(tmp_path / "set.zarr")
+    shutil.rmtree(tmp_path / "set.zarr" / "visibility")
+    assert len(write(tmp_path / "set.zarr")) == POSES
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(PrtnetError) as caught:
+        Dataset.open(path)
+    return str(caught.value)
+
+
+def test_what_is_no_dataset(tmp_path: Path) -> None:
+    assert "does not exist" in complaint(tmp_path / "missing.zarr")
+    (tmp_path / "file").write_text("hello")
+    assert "is not a dataset" in complaint(tmp_path / "file")
+    (tmp_path / "folder").mkdir()
+    assert "is not a dataset" in complaint(tmp_path / "folder")
+    zarr.create_group(str(tmp_path / "other.zarr"), zarr_format=3)
+    assert "is not a dataset" in complaint(tmp_path / "other.zarr")
+    zarr.create_array(str(tmp_path / "array.zarr"), shape=(3,), dtype="f4")
+    assert "is not a dataset" in complaint(tmp_path / "array.zarr")
+    (tmp_path / "other.zarr" / "zarr.json").write_text("{")
+    assert "is not a dataset" in complaint(tmp_path / "other.zarr")
+
+
+def test_another_format_version(dataset: Dataset) -> None:
+    header = dataset.path / "zarr.json"
+    content = json.loads(header.read_text())
+    content["attributes"]["format_version"] = FORMAT_VERSION + 1
+    header.write_text(json.dumps(content))
+    assert f"of another format version ({FORMAT_VERSION + 1}" in complaint(dataset.path)
+
+
+@pytest.mark.parametrize("name", ["visibility", "sources", "rest_pose", "joint_weights"])
+def test_a_missing_array(dataset: Dataset, name: str) -> None:
+    shutil.rmtree(dataset.path / name)
+    assert name in complaint(dataset.path)
+
+
+def test_a_missing_attribute(dataset: Dataset) -> None:
+    header = dataset.path / "zarr.json"
+    content = json.loads(header.read_text())
+    del content["attributes"]["held_out"]
+    header.write_text(json.dumps(content))
+    assert "held_out" in complaint(dataset.path)
+
+
+@pytest.mark.parametrize("chunk", ["visibility/c/1/0/0", "clip/c/0"])
+def test_a_missing_chunk(dataset: Dataset, chunk: str) -> None:
+    (dataset.path / chunk).unlink()
+    assert "is not whole" in complaint(dataset.path)
+
+
+def test_a_truncated_chunk(dataset: Dataset) -> None:
+    chunk = dataset.path / "visibility/c/1/0/0"
+    chunk.write_bytes(chunk.read_bytes()[:-10])
+    rows = Dataset.open(dataset.path).visibility
+    np.testing.assert_array_equal(rows[:4], whole().visibility[:4])
+    with pytest.raises(PrtnetError, match="'visibility' is damaged"):
+        rows[4:8]
+
+
+def test_a_truncated_chunk_of_what_no_pose_changes(dataset: Dataset) -> None:
+    chunk = dataset.path / "rest_pose/c/0"
+    chunk.write_bytes(chunk.read_bytes()[:-4])
+    assert "'rest_pose' is damaged" in complaint(dataset.path)
+
+
+def test_folders_that_are_no_datasets_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.png").write_text("cat")
+    (tmp_path / "file").write_text("text")
+    for path in (tmp_path / "photos", tmp_path / "file", tmp_path):
+        with pytest.raises(PrtnetError, match="exists and is not a dataset"):
+            writer(path)
+    assert (tmp_path / "photos" / "cat.png").read_text() == "cat"
+
+
+def test_a_folder_that_does_not_exist(tmp_path: Path) -> None:
+    with pytest.raises(PrtnetError, match="cannot be written"):
+        writer(tmp_path / "no" / "set.zarr")
