@@ -22,7 +22,8 @@ lint: $(READY_DEV)
 	$(BIN)/mypy
 
 bench: $(READY_DEV)  ## every number of docs/benchmarks.md
-	$(BIN)/python -m bench
+	@set -e; for script in $(sort $(wildcard bench/[a-z]*.py)); do \
+		echo "== $$script"; $(BIN)/python "$$script"; done
 
 clean:
 	rm -rf $(VENV) build dist demo .mypy_cache .pytest_cache .ruff_cache

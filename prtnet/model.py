@@ -173,7 +173,8 @@ class VisibilityModel:
         arrays |= {f"features.{name}": a for name, a in self.features.arrays().items()}
         arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         with writing(path) as partial:
-            safetensors.numpy.save_file(arrays, partial, {"prtnet": json.dumps(header)})
+            # ``save_file`` would make a file that nobody else may read.
+            partial.write_bytes(safetensors.numpy.save(arrays, {"prtnet": json.dumps(header)}))
 
     @classmethod
     def load(cls, path: str | Path) -> VisibilityModel:

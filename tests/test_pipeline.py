@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Sequence
@@ -91,6 +92,18 @@ def test_evaluation_of_a_scene_agrees(work: Path) -> None:
     assert results["rms"] == pytest.approx(expected["rms"], rel=1e-4)
     assert results["signal"] == pytest.approx(expected["signal"], rel=1e-4)
     assert results["nearest"] is None
+    assert results["clips"]["bend"]["held_out"] is False
+
+
+def test_clip_that_training_did_not_see_counts_as_held_out(work: Path, tmp_path: Path) -> None:
+    """The mesh is the same, so the model takes it; the clip is not one of its own."""
+    scene, report = tmp_path / "again.glb", tmp_path / "errors.json"
+    limb = arm(segments=10)
+    clip = dataclasses.replace(limb.clips[0], name="later")
+    write_glb(dataclasses.replace(limb, clips=(clip,)), scene)
+    options = ("--fps", "0.5", "--rays", "16", "--json", report, "--quiet")
+    prtnet("evaluate", work / "arm.safetensors", scene, *options)
+    assert json.loads(report.read_text())["clips"]["later"]["held_out"] is True
 
 
 def test_dump_is_what_the_model_says_in_the_world(work: Path, tmp_path: Path) -> None:
@@ -187,7 +200,8 @@ def test_another_scene_is_refused(
     work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other, model = tmp_path / "other.glb", work / "arm.safetensors"
-    write_glb(arm(segments=9), other)
+    limb = arm(segments=10)
+    write_glb(dataclasses.replace(limb, positions=1.1 * limb.positions), other)
     assert "not the mesh" in failure(capsys, "evaluate", model, other)
     out = ("--out", tmp_path / "frame.png")
     assert "not the mesh" in failure(capsys, "render", model, other, *out)
