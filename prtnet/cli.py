@@ -206,7 +206,15 @@ def train(argv: Sequence[str]) -> None:
 
     torch.set_num_threads(threads(options.threads))
     with session.console.progress() as report:
-        model = fit(Dataset.open(options.dataset), config, StageMonitor(report))
+        monitor = StageMonitor(report)
+        dataset = Dataset.open(options.dataset)
+        if options.log_dir is None:
+            model = fit(dataset, config, monitor)
+        else:
+            from training.tensorboard import TensorBoard
+
+            with TensorBoard(options.log_dir, monitor) as watched:
+                model = fit(dataset, config, watched)
     model.save(options.out)
     results = {"out": options.out, "model_bytes": options.out.stat().st_size, **model.metadata}
     errors = {name: results[name] for name in ("training_error", "held_out_error")

@@ -32,11 +32,14 @@ SPARSE = 10.0  # seconds between lines where there is no terminal to redraw
 class Report(Protocol):
     """Called by long work whenever it has got further."""
 
-    def __call__(self, what: str, done: int, total: int) -> None:
-        """Say that ``done`` of ``total`` steps of ``what`` are behind us; 0 of 0 where unknown."""
+    def __call__(self, what: str, done: int, total: int, detail: str = "") -> None:
+        """Say that ``done`` of ``total`` steps of ``what`` are behind us; 0 of 0 where unknown.
+
+        ``detail`` is a figure to show beside, such as the loss.
+        """
 
 
-def silent(what: str, done: int, total: int) -> None:
+def silent(what: str, done: int, total: int, detail: str = "") -> None:
     """A ``Report`` that shows nothing."""
 
 
@@ -161,7 +164,7 @@ class _Bar:
         self._shown = False
         self._tasks: dict[str, rich.progress.TaskID] = {}
         self._progress = rich.progress.Progress(
-            rich.progress.TextColumn("{task.description}", markup=False),
+            rich.progress.TextColumn("{task.description} {task.fields[detail]}", markup=False),
             rich.progress.BarColumn(),
             rich.progress.MofNCompleteColumn(),
             rich.progress.TimeRemainingColumn(),
@@ -169,10 +172,11 @@ class _Bar:
             transient=True,
         )
 
-    def report(self, what: str, done: int, total: int) -> None:
+    def report(self, what: str, done: int, total: int, detail: str = "") -> None:
         if what not in self._tasks:
-            self._tasks[what] = self._progress.add_task(what, total=None)
-        self._progress.update(self._tasks[what], completed=done, total=total or None)
+            self._tasks[what] = self._progress.add_task(what, total=None, detail=detail)
+        task = self._tasks[what]
+        self._progress.update(task, completed=done, total=total or None, detail=detail)
         if not self._shown and (not total or self._clock() - self._start > PATIENCE):
             self._shown = True
             self._progress.start()
@@ -190,13 +194,14 @@ class _Lines:
         self._clock = clock
         self._start = self._last = clock()
 
-    def report(self, what: str, done: int, total: int) -> None:
+    def report(self, what: str, done: int, total: int, detail: str = "") -> None:
         now = self._clock()
         finished = 0 < total <= done and now - self._start > SPARSE
         if now - self._last > SPARSE or finished:
             self._last = now
             share = f" {done}/{total} ({100.0 * done / total:.0f} %)," if total else ""
-            self._write(f"{what}:{share} {now - self._start:.0f} s")
+            detail = f", {detail}" if detail else ""
+            self._write(f"{what}:{share} {now - self._start:.0f} s{detail}")
 
 
 def plain(value: Any) -> Any:

@@ -83,20 +83,21 @@ class JointAngles(Features):
 class Occluders(Features):
     """SH of the caps that nearby spheres cover, seen from each cluster in its own joint's frame.
 
-    For each of a cluster's reference points, the sum over its spheres of the cap's SH. It ignores
-    global motion and everything far away, and is nearly linear in what visibility does. Morph
-    weights follow, the same for every cluster. Joints may be scaled, each by one factor.
+    For each of a cluster's reference points, the sum over the cluster's spheres of the cap's SH.
+    It ignores global motion and everything far away, and is nearly linear in what visibility does.
+    Morph weights follow, the same for every cluster. Joints may be scaled, each by one factor.
 
     Attributes:
         spheres: the occluders.
         cluster_joint: the dominant joint of each cluster, (C,).
         point: reference points in that joint's frame, (C, M, 3).
-        near: the spheres that matter to each reference point, (C, M, K).
-        order: of the spherical harmonics; (M · order²) features a cluster.
+        near: the spheres that matter to each cluster, (C, K).
+        order: of the spherical harmonics, at most ``MOST_ORDER``; (M · order²) features a cluster.
         joints: number of joints in a pose.
     """
 
     kind: ClassVar[str] = "occluders"
+    MOST_ORDER: ClassVar[int] = 3  # what the ONNX graph has closed forms for
     spheres: Spheres
     cluster_joint: IntArray
     point: FloatArray
@@ -106,8 +107,8 @@ class Occluders(Features):
 
     def __call__(self, poses: FloatArray) -> FloatArray:
         """See :class:`Features`."""
-        clusters, points, _ = self.near.shape
-        count = max(1, 2_000_000 // max(1, self.near.size * self.order**2))
+        clusters, points, _ = self.point.shape
+        count = max(1, 1_000_000 // max(1, self.near.size * points * self.order**2))
         parts = [self._block(poses[i : i + count]) for i in range(0, len(poses), count)]
         caps = np.concatenate(parts).reshape(len(poses), clusters, points * self.order**2)
         morphs = poses[:, None, 12 * self.joints :]
@@ -117,31 +118,33 @@ class Occluders(Features):
     def _block(self, poses: FloatArray) -> FloatArray:
         cosine, direction = self.seen(poses)
         integrals = 2.0 * np.pi * cap_integrals(cosine, self.order)
-        degree = np.repeat(np.arange(self.order), 2 * np.arange(self.order) + 1)
-        return np.einsum(
-            "pcmki,pcmki->pcmi", integrals[..., degree], sh.evaluate(direction, self.order)
-        )
+        basis = sh.evaluate(direction, self.order)
+        bands = [slice(degree**2, (degree + 1) ** 2) for degree in range(self.order)]
+        summed = [
+            np.einsum("pcmk,pcmki->pcmi", integrals[..., degree], basis[..., band])
+            for degree, band in enumerate(bands)
+        ]
+        return np.concatenate(summed, axis=-1)
 
     def seen(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Each reference point's spheres: cos θ of the cap and local direction to the centre.
 
         Returns:
-            (P, C, M, K) and (P, C, M, K, 3). A point inside a sphere sees a half-space blocked.
+            (P, C, M, K) and (P, C, M, K, 3), float64. A point inside a sphere sees a half-space
+            blocked.
         """
-        matrices = joint_matrices(poses, self.joints)
+        matrices = joint_matrices(poses.astype(np.float64), self.joints)
         linear, offset = matrices[..., :3], matrices[..., 3]
         ridden = self.spheres.joint
         centre = (linear[:, ridden] @ self.spheres.centre[..., None])[..., 0] + offset[:, ridden]
         radius = self.spheres.radius * np.linalg.norm(linear[..., 0][:, ridden], axis=-1)  # [P, S]
         home, home_offset = linear[:, self.cluster_joint], offset[:, self.cluster_joint]
         square = np.maximum(np.sum(home * home, axis=-2, keepdims=True), SMALLEST)
-        shape = (len(poses), *self.near.shape)
-        near = self.near.reshape(len(self.near), -1)
-        away = centre[:, near] - home_offset[:, :, None]  # [P, C, M·K, 3]
-        local = (away @ (home / square)).reshape(*shape, 3) - self.point[:, :, None]
+        away = centre[:, self.near] - home_offset[:, :, None]  # [P, C, K, 3]
+        local = (away @ (home / square))[:, :, None] - self.point[:, :, None]  # [P, C, M, K, 3]
         distance2 = np.maximum(np.sum(local * local, axis=-1), SMALLEST)
-        own_radius = radius[:, near] / np.sqrt(square[:, :, 0, :1])
-        sine2 = np.minimum(own_radius.reshape(shape) ** 2 / distance2, 1.0)
+        own_radius2 = (radius**2)[:, self.near] / square[:, :, 0, :1]  # [P, C, K]
+        sine2 = np.minimum(own_radius2[:, :, None] / distance2, 1.0)
         return np.sqrt(1.0 - sine2), local / np.sqrt(distance2)[..., None]
 
     def arrays(self) -> dict[str, FloatArray | IntArray]:

@@ -36,7 +36,7 @@ def random_features(kind: str, joints: int, clusters: int, order: int, seed: int
         spheres,
         rng.integers(0, joints, clusters).astype(np.int32),
         rng.normal(0, 0.3, (clusters, 3, 3)).astype(np.float32),
-        rng.integers(0, 11, (clusters, 3, 7)).astype(np.int32),
+        rng.integers(0, 11, (clusters, 7)).astype(np.int32),
         order,
         joints,
     )
@@ -49,7 +49,7 @@ def random_model(
     morphs: int = 0,
     clusters: int = 6,
     receivers: int = 40,
-    feature_order: int = 5,
+    feature_order: int = 3,
     seed: int = 0,
 ) -> VisibilityModel:
     """A model whose every array is random, with clusters of unequally many latents."""

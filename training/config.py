@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from prtnet.errors import PrtnetError
+from prtnet.features import Occluders
 
 __all__ = ["PRESETS", "TrainConfig"]
 
@@ -22,24 +23,24 @@ class TrainConfig:
     """Clusters of receivers, equally large."""
     neurons: int = 32
     """Neurons in each cluster's hidden layer."""
-    networks: int = 2
+    networks: int = 1
     """Networks fitted from different starts and averaged into one of networks × neurons."""
     output_variance: float = 0.99
     """Fraction of the visibility's variance that the output components keep."""
     latents: float = 14.0
     """At most so many output components a cluster, on average."""
-    input_variance: float = 0.995
+    input_variance: float = 0.999
     """Fraction of the features' variance that the input components keep."""
-    inputs: int = 30
+    inputs: int = 48
     """At most so many input components a cluster."""
-    spheres: int = 128
+    spheres: int = 160
     """About how many occluding spheres are fitted to the skin."""
-    points: int = 3
+    points: int = 6
     """Reference points in each cluster that look at the spheres."""
-    near: int = 24
-    """Spheres that each reference point looks at."""
-    feature_order: int = 5
-    """Bands of the spherical harmonics of what a reference point sees, at most 5."""
+    near: int = 48
+    """Spheres that the reference points of a cluster look at."""
+    feature_order: int = 3
+    """Bands of the spherical harmonics of what a reference point sees, at most 3."""
     alpha: float | None = None
     """Weight decay; chosen by cross-validation over whole clips when not given."""
     iterations: int = 200
@@ -56,8 +57,8 @@ class TrainConfig:
         for name, bound in least.items():
             if getattr(self, name) < bound:
                 raise PrtnetError(f"--{name.replace('_', '-')}", f"must be at least {bound}")
-        if self.feature_order > 5:
-            raise PrtnetError("--feature-order", "must be at most 5")
+        if self.feature_order > Occluders.MOST_ORDER:
+            raise PrtnetError("--feature-order", f"must be at most {Occluders.MOST_ORDER}")
         for name in ("output_variance", "input_variance"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise PrtnetError(f"--{name.replace('_', '-')}", "must be above 0 and at most 1")
@@ -67,10 +68,10 @@ class TrainConfig:
 
 PRESETS: dict[str, TrainConfig] = {
     "default": TrainConfig(),
-    "small": TrainConfig(clusters=32, neurons=16, networks=1, latents=6, inputs=16, spheres=64),
-    "large": TrainConfig(neurons=48, networks=4, latents=64, output_variance=0.97, near=32),
+    "small": TrainConfig(clusters=32, neurons=16, latents=6, points=3, near=24, spheres=64),
+    "large": TrainConfig(neurons=32, networks=3, latents=48, points=8, near=64, spheres=240),
     "paper": TrainConfig(
-        features="joint_angles", networks=1, latents=1e9, output_variance=0.95, input_variance=0.9
+        features="joint_angles", latents=1e9, output_variance=0.95, input_variance=0.9
     ),
 }
 """Named starting points: the papers' own choices among them."""

@@ -41,17 +41,17 @@ def fit_occluders(
     rest_normals: FloatArray,
     joint_weights: FloatArray,
     rest_pose: FloatArray,
-    points: int = 3,
-    near: int = 24,
-    spheres: int = 128,
-    order: int = 5,
+    points: int = 6,
+    near: int = 48,
+    spheres: int = 160,
+    order: int = 3,
     seed: int = 0,
 ) -> Occluders:
     """Occluder features for clusters of receivers.
 
     Reference points are centroids of parts of the cluster, lifted by 2 % of the scene's height
-    along the mean normal. Each keeps the spheres, not on its own joint, that ever cover most of
-    its view.
+    along the mean normal. Each cluster keeps the spheres, not on its own joint, that ever cover
+    most of a point's view.
 
     Args:
         poses: training poses, flattened, (P, D).
@@ -61,7 +61,7 @@ def fit_occluders(
         joint_weights: (V, J).
         rest_pose: the pose of that rest, (D,).
         points: M reference points a cluster.
-        near: K spheres a point.
+        near: K spheres a cluster.
         spheres: about how many to fit to the whole skin.
         order: of the caps' spherical harmonics.
         seed: of k-means.
@@ -84,21 +84,23 @@ def fit_occluders(
             lifted = centres[k % len(centres)] + 0.02 * height * normal
             linear, offset = rest[home[cluster], :, :3], rest[home[cluster], :, 3]
             where[cluster, k] = np.linalg.pinv(linear) @ (lifted - offset)
-    candidates = np.broadcast_to(
-        np.arange(len(fitted), dtype=np.int32), (len(slots), points, len(fitted))
-    )
+    candidates = np.broadcast_to(np.arange(len(fitted), dtype=np.int32), (len(slots), len(fitted)))
     every = Occluders(fitted, home, where, candidates, order, joints)
     return Occluders(fitted, home, where, nearest_spheres(every, poses, near), order, joints)
 
 
 def nearest_spheres(every: Occluders, poses: FloatArray, near: int) -> IntArray:
-    """For each reference point the ``near`` spheres of other joints that cover most, (C, M, K)."""
+    """For each cluster the ``near`` spheres of other joints that cover most, (C, K).
+
+    ``every`` has all spheres near every cluster. Where a cluster has fewer on other joints, all
+    clusters keep that many: one, its own, on a rig of a single joint.
+    """
     most = np.zeros(every.near.shape)
-    for start in range(0, len(poses), 16):
-        cosine, _ = every.seen(poses[start : start + 16])
-        most = np.maximum(most, (1.0 - cosine).max(axis=0))
+    for start in range(0, len(poses), 8):
+        cosine, _ = every.seen(poses[start : start + 8])
+        most = np.maximum(most, (1.0 - cosine).max(axis=(0, 2)))
     own = every.spheres.joint[None, :] == every.cluster_joint[:, None]  # [C, S]
-    score = np.where(own[:, None], -1.0, most)
+    score = np.where(own, -1.0, most)
     fewest_foreign = int((~own).sum(axis=1).min())
     count = max(1, min(near, fewest_foreign))
-    return np.argsort(-score, axis=-1)[..., :count].astype(np.int32)
+    return np.argsort(-score, axis=-1)[:, :count].astype(np.int32)

@@ -46,114 +46,146 @@ def joint_angle_nodes(graph: GraphBuilder, features: JointAngles) -> str:
     return graph.reshape(graph.slice(local, 0, 2, 3), [-1, 1, 6 * len(features.joint)])
 
 
-def cap_moment_map(order: int) -> FloatArray:
-    """Constant (1 + 126, order²) from the moments of :func:`occluder_nodes` to SH coefficients.
+def near_nodes(graph: GraphBuilder, features: Occluders) -> tuple[str, str]:
+    """The clusters' spheres in their joint's frame, about the mean of their reference points.
 
-    The moments are Σ I_0, then the table of Σ r(k) m(k) for the rows r = I_1, I_2, I_3 q, I_4 q
-    and the columns m = u, q over all spheres k, where u is the direction and q its six quadratic
-    monomials. Band l is a homogeneous polynomial of degree l: its coefficients on the monomials
-    1, u, q, q ⊗ u, q ⊗ q are found by least squares over directions.
+    Returns:
+        Centres, components leading (P, C, 3, K), and squared radii (P, C, 1, K), in joint units.
     """
-    u = sh.fibonacci_sphere(200).astype(np.float64)
-    basis = sh.evaluate(u, order)
-    q = u[:, QUADRATIC[0]] * u[:, QUADRATIC[1]]
-    cubic, quartic = q[:, :, None] * u[:, None], q[:, :, None] * q[:, None]
-    exact = [np.ones((len(u), 1)), u, q, cubic.reshape(len(u), -1), quartic.reshape(len(u), -1)]
-    cell = 1 + np.arange(14 * 9).reshape(14, 9)
-    rows = [np.array([0]), cell[0, :3], cell[1, 3:], cell[2:8, :3].ravel(), cell[8:, 3:].ravel()]
-    result = np.zeros((1 + cell.size, order**2))
-    for degree in range(order):
-        band = slice(degree**2, (degree + 1) ** 2)
-        solution = np.linalg.lstsq(exact[degree], basis[:, band], rcond=None)[0]
-        result[rows[degree], band] = 2.0 * math.pi * solution
-    return result
+    matrices = joint_matrices(graph, features.joints)
+    rides = graph.constant(features.spheres.joint)
+    centre = np.concatenate([features.spheres.centre, np.ones((len(features.spheres), 1))], 1)
+    riding = graph.node("Gather", matrices, rides, axis=1)  # [P, S, 3, 4]
+    centres = graph.total(graph.node("Mul", riding, graph.constant(centre[:, None])), 3)
+    column = graph.slice(matrices, 0, 1, 3)
+    scale2 = graph.total(graph.node("Mul", column, column), 2)  # [P, J, 1]
+    radius2 = graph.constant(features.spheres.radius.astype(np.float64)[:, None] ** 2)
+    radii2 = graph.node("Mul", graph.node("Gather", scale2, rides, axis=1), radius2)
+    home = graph.node("Gather", matrices, graph.constant(features.cluster_joint), axis=1)
+    linear, offset = graph.slice(home, 0, 3, 3), graph.slice(home, 3, 4, 3)
+    square = squared_columns(graph, linear)  # [P, C, 1, 3]
+    inverse = graph.node("Transpose", graph.node("Div", linear, square), perm=[0, 1, 3, 2])
+    origin = features.point.mean(axis=1)[..., None]
+    shift = graph.node("Add", graph.node("MatMul", inverse, offset), graph.constant(origin))
+    near = graph.constant(features.near)
+    rows = graph.node("Gather", centres, near, axis=1)  # [P, C, K, 3]
+    columns = graph.node("Transpose", rows, perm=[0, 1, 3, 2])
+    local = graph.node("Sub", graph.node("MatMul", inverse, columns), shift)
+    own = graph.reshape(
+        graph.node("Gather", radii2, near, axis=1),
+        [-1, len(features.near), 1, features.near.shape[1]],
+    )
+    return local, graph.node("Div", own, graph.slice(square, 0, 1, 3))
 
 
 QUADRATIC = np.triu_indices(3)  # x², xy, xz, y², yz, z²
 
 
-def seen_nodes(graph: GraphBuilder, features: Occluders) -> tuple[str, str]:
-    """Each sphere's sin² of the cap (P, C, M·K) and direction (P, C, M·K, 3)."""
-    clusters, points, near = features.near.shape
-    matrices = joint_matrices(graph, features.joints)
-    riding = graph.node("Gather", matrices, graph.constant(features.spheres.joint), axis=1)
-    centre = np.concatenate([features.spheres.centre, np.ones((len(features.spheres), 1))], 1)
-    centres = graph.total(graph.node("Mul", riding, graph.constant(centre[:, None])), 3)
-    first_column = graph.slice(riding, 0, 1, 3)  # [P, S, 3, 1]
-    scale2 = graph.total(graph.node("Mul", first_column, first_column), 2)  # [P, S, 1]
-    radius2 = graph.node(
-        "Mul", scale2, graph.constant(features.spheres.radius.astype(np.float64)[:, None] ** 2)
-    )
-    home = graph.node("Gather", matrices, graph.constant(features.cluster_joint), axis=1)
-    linear = graph.slice(home, 0, 3, 3)
-    square = squared_columns(graph, linear)  # [P, C, 1, 3]
-    inverse = graph.node("Div", linear, square)
-    offset = graph.reshape(graph.slice(home, 3, 4, 3), [-1, clusters, 1, 3])
-    flat = graph.constant(features.near.reshape(clusters, -1))
-    away = graph.node("Sub", graph.node("Gather", centres, flat, axis=1), offset)
-    point = np.repeat(features.point, near, axis=1)  # [C, M·K, 3]
-    local = graph.node("Sub", graph.node("MatMul", away, inverse), graph.constant(point))
-    distance2 = graph.clip(
-        graph.total(graph.node("Mul", local, local), 3, keep=True), SMALLEST
-    )  # [P, C, M·K, 1]
-    own = graph.node("Gather", radius2, flat, axis=1)  # [P, C, M·K, 1]
-    own = graph.node("Div", own, graph.slice(square, 0, 1, 3))
-    sine2 = graph.clip(graph.node("Div", own, distance2), 0.0, 1.0)
-    direction = graph.node("Div", local, graph.node("Sqrt", distance2))
-    shape = [-1, clusters, points, near]
-    return graph.reshape(sine2, [*shape[:3], 1, near]), graph.reshape(direction, [*shape, 3])
+def band_map(order: int) -> FloatArray:
+    """(order², order²): from 1; x, y, z; the five of :func:`recentred` to 2π y_lm on the sphere."""
+    x, y, z = sh.fibonacci_sphere(50).astype(np.float64).T
+    parts = [
+        np.ones_like(x),
+        x,
+        y,
+        z,
+        x * y,
+        y * z,
+        2 * z * z - x * x - y * y,
+        x * z,
+        x * x - y * y,
+    ]
+    raw = np.stack(parts, axis=1)[:, : order**2]
+    exact = sh.evaluate(np.stack([x, y, z], axis=1), order)
+    return 2.0 * math.pi * np.linalg.lstsq(raw, exact, rcond=None)[0]
+
+
+def recentred(point: FloatArray) -> FloatArray:
+    """(…, 10, 5): from Σw(1; c; c⊗c) to the five harmonic quadratics of Σw(c − p), p (…, 3)."""
+    pick = np.zeros((6, 5))  # x², xy, xz, y², yz, z² to xy, yz, 2z² − x² − y², xz, x² − y²
+    pick[[1, 4, 2], [0, 1, 3]] = 1.0
+    pick[[0, 3, 5], 2] = [-1.0, -1.0, 2.0]
+    pick[[0, 3], 4] = [1.0, -1.0]
+    left, right = QUADRATIC
+    moments = np.zeros((*point.shape[:-1], 10, 6))  # (c − p)(c − p)ᵀ = ccᵀ − cpᵀ − pcᵀ + ppᵀ
+    moments[..., 0, :] = point[..., left] * point[..., right]
+    for column, (i, j) in enumerate(zip(left, right, strict=True)):
+        moments[..., 1 + i, column] -= point[..., j]
+        moments[..., 1 + j, column] -= point[..., i]
+        moments[..., 4 + column, column] = 1.0
+    return moments @ pick
 
 
 def occluder_nodes(graph: GraphBuilder, features: Occluders) -> str:
-    """(P, C, M · order²) summed SH of the caps."""
-    clusters, points, _ = features.near.shape
-    sine2, direction = seen_nodes(graph, features)  # [P, C, M, 1, K], [P, C, M, K, 3]
+    """(P, C, M · order²): for each point Σ w_0, Σ w_1 a, Σ w_2 h(a) over spheres at a from it.
+
+    w_l = I_l / |a|^l, with I_l the cap's integrals, is a function of the squared distance alone,
+    which is linear in the monomials of the centre; so are the sums, about the points' mean. Only
+    then are they moved to each point: few numbers.
+    """
+    clusters, points, _ = features.point.shape
+    local, radius2 = near_nodes(graph, features)
+    left, right = (graph.constant(index) for index in QUADRATIC)
+    pair = (graph.node("Gather", local, index, axis=2) for index in (left, right))
+    monomials = graph.node("Concat", local, graph.node("Mul", *pair), axis=2)  # [P, C, 9, K]
+    point = features.point.astype(np.float64)
+    point = point - point.mean(axis=1, keepdims=True)
+    to_distance = np.zeros((clusters, points, 9))
+    to_distance[..., :3], to_distance[..., [3, 6, 8]] = -2.0 * point, 1.0
+    distance2 = graph.node("MatMul", graph.constant(to_distance), monomials)  # [P, C, M, K]
+    norm2 = graph.constant((point**2).sum(axis=-1, keepdims=True))
+    distance2 = graph.clip(graph.node("Add", distance2, norm2), SMALLEST)
+    sine2 = graph.clip(graph.node("Div", radius2, distance2), 0.0, 1.0)
     one = graph.constant(1.0)
     cosine = graph.node("Sqrt", graph.node("Sub", one, sine2))
-    across = graph.node("Mul", sine2, graph.constant(0.5))  # I_1
-    along = graph.node("Mul", across, cosine)  # I_2
-    # I_3 = I_1 (4 − 5 sin²) / 4 and I_4 = I_2 (4 − 7 sin²) / 4
-    third = graph.node("Sub", one, graph.node("Mul", sine2, graph.constant(1.25)))
-    fourth = graph.node("Sub", one, graph.node("Mul", sine2, graph.constant(1.75)))
-    component = graph.node("Transpose", direction, perm=[0, 1, 2, 4, 3])  # [P, C, M, 3, K]
-    left, right = (graph.constant(np.asarray(index)) for index in QUADRATIC)
-    quadratic = graph.node(
-        "Mul",
-        graph.node("Gather", component, left, axis=3),
-        graph.node("Gather", component, right, axis=3),
-    )
-    rows = graph.node(
-        "Concat",
-        across,
-        along,
-        graph.node("Mul", quadratic, graph.node("Mul", across, third)),
-        graph.node("Mul", quadratic, graph.node("Mul", along, fourth)),
-        axis=3,
-    )  # [P, C, M, 14, K]
-    columns = graph.node("Concat", component, quadratic, axis=3)  # [P, C, M, 9, K]
-    columns = graph.node("Transpose", columns, perm=[0, 1, 2, 4, 3])
-    table = graph.reshape(graph.node("MatMul", rows, columns), [-1, clusters, points, 126])
-    zeroth = graph.total(graph.node("Sub", one, cosine), 4)  # [P, C, M, 1]
-    moments = graph.node("Concat", zeroth, table, axis=3)
-    caps = graph.node("MatMul", moments, graph.constant(cap_moment_map(features.order)))
-    return graph.reshape(caps, [-1, clusters, points * features.order**2])
+    bands = [graph.total(graph.node("Sub", one, cosine), 3, keep=True)]  # [P, C, M, 1]
+    weights = []  # of I_1 = sin²/2 and I_2 = cos sin²/2
+    if features.order > 1:
+        half = graph.node("Mul", sine2, graph.constant(0.5))
+        weights.append(graph.node("Div", half, graph.node("Sqrt", distance2)))
+    if features.order > 2:
+        weights.append(graph.node("Div", graph.node("Mul", half, cosine), distance2))
+    for degree, weight in enumerate(weights, start=1):
+        total = graph.total(weight, 3, keep=True)
+        rows = monomials if degree == 2 else local
+        sums = graph.node("MatMul", weight, graph.node("Transpose", rows, perm=[0, 1, 3, 2]))
+        if degree == 1:
+            bands.append(graph.node("Sub", sums, graph.node("Mul", total, graph.constant(point))))
+            continue
+        moments = graph.reshape(
+            graph.node("Concat", total, sums, axis=3), [-1, clusters, points, 1, 10]
+        )
+        quadratic = graph.node("MatMul", moments, graph.constant(recentred(point)))
+        bands.append(graph.reshape(quadratic, [-1, clusters, points, 5]))
+    every = graph.node("Concat", *bands, axis=3) if len(bands) > 1 else bands[0]
+    return graph.reshape(every, [-1, clusters, points * features.order**2])
 
 
-def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> str:
-    """(P, 1 or C, F) features, morph weights last."""
+def feature_nodes(
+    graph: GraphBuilder, features: Features, pose_size: int
+) -> tuple[str, FloatArray]:
+    """(P, 1 or C, F) values, morph weights last, and the (F, F) map from them to the features."""
     if isinstance(features, JointAngles):
         value, clusters, joints = joint_angle_nodes(graph, features), 1, features.joints
+        linear: FloatArray = np.eye(6 * len(features.joint))
     elif isinstance(features, Occluders):
-        value, clusters = occluder_nodes(graph, features), len(features.near)
-        joints = features.joints
+        value, clusters, joints = (
+            occluder_nodes(graph, features),
+            len(features.near),
+            features.joints,
+        )
+        linear = np.kron(np.eye(features.point.shape[1]), band_map(features.order))
     else:
         raise TypeError(f"no ONNX form of {type(features).__name__}")
     morphs = pose_size - 12 * joints
     if morphs == 0:
-        return value
+        return value, linear
     weights = graph.reshape(graph.slice("pose", 12 * joints, pose_size, 1), [-1, 1, morphs])
     copies = graph.node("Mul", weights, graph.constant(np.ones((clusters, 1))))
-    return graph.node("Concat", value, copies, axis=2)
+    whole = np.zeros((len(linear) + morphs,) * 2)
+    whole[: len(linear), : len(linear)] = linear
+    whole[len(linear) :, len(linear) :] = np.eye(morphs)
+    return graph.node("Concat", value, copies, axis=2), whole
 
 
 def reconstruction_nodes(
@@ -204,24 +236,25 @@ def reconstruction_nodes(
 def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
     """The model as a checked ONNX graph: ``pose`` (poses, D) in, ``visibility`` (poses, V, n²) out.
 
-    The input PCA is multiplied into the first layer in float64, where that makes it smaller.
+    The input PCA, and what is linear in the features, is multiplied into the first layer.
     """
     graph = GraphBuilder()
     order = np.argsort(model.latents, kind="stable")
-    value = feature_nodes(graph, model.features, model.pose_size)
+    value, linear = feature_nodes(graph, model.features, model.pose_size)
     regressor = model.regressor
 
     def by_cluster(array: FloatArray) -> FloatArray:
         return np.broadcast_to(array.astype(np.float64), (len(order), *array.shape[1:]))[order]
 
     clusters = 1 if isinstance(model.features, JointAngles) else len(order)
-    value = graph.reshape(value, [-1, clusters, 1, model.input_mean.shape[1]])
+    value = graph.reshape(value, [-1, clusters, 1, len(linear)])
     if clusters > 1 and not np.array_equal(order, np.arange(len(order))):
         value = graph.node("Gather", value, graph.constant(order), axis=1)
-    mean, basis = by_cluster(model.input_mean)[:, None], by_cluster(model.input_basis)
-    centred = graph.node("Sub", value, graph.constant(mean))
     first = regressor.weight if regressor.hidden_weight is None else regressor.hidden_weight
-    value = graph.node("MatMul", centred, graph.constant(basis @ by_cluster(first)))
+    layer = by_cluster(model.input_basis) @ by_cluster(first)  # [C, F, N]
+    mean = np.linalg.solve(linear.T, by_cluster(model.input_mean)[..., None])[..., 0]
+    centred = graph.node("Sub", value, graph.constant(mean[:, None]))
+    value = graph.node("MatMul", centred, graph.constant(linear @ layer))
     weight, bias = regressor.weight, regressor.bias
     if regressor.hidden_weight is not None and regressor.hidden_bias is not None:
         shift = by_cluster(regressor.hidden_bias)[:, None]

@@ -11,6 +11,9 @@ from prtnet.arrays import BoolArray, FloatArray, IntArray
 __all__ = ["OutputReduction", "input_reduction", "reduce_output"]
 
 
+ROUNDING = 1e-12  # variance below this fraction of the signal's is float32's, not the scene's
+
+
 @dataclass(frozen=True, eq=False)
 class OutputReduction:
     """The kept principal components of every cluster's visibility.
@@ -38,19 +41,17 @@ def choose_counts(
     Counts are then rounded to multiples of ``step``, so that few different sizes remain.
     """
     flat = np.sort(eigenvalues.ravel())[::-1]
-    total = flat.sum()
-    if not total > 0:
-        return np.zeros(len(eigenvalues), dtype=np.int64)
-    kept = int(np.searchsorted(np.cumsum(flat), variance * total) + 1)
-    positive = int((flat > 1e-12 * flat[0]).sum())
-    kept = min(kept, positive)
+    kept = int(np.searchsorted(np.cumsum(flat), variance * flat.sum()) + 1)
+    kept = min(kept, int((flat > 0).sum()))
     if average is not None:
         kept = min(kept, int(average * len(eigenvalues)))
-    counts = (eigenvalues >= flat[max(kept - 1, 0)]).sum(axis=1) if kept else np.zeros(1, int)
+    if kept == 0:
+        return np.zeros(len(eigenvalues), dtype=np.int64)
+    counts = (eigenvalues >= flat[kept - 1]).sum(axis=1)
     rounded = np.rint(counts / step).astype(np.int64) * step
     # A cluster that varies at all keeps one component, whatever the rounding says.
     rounded = np.where((rounded == 0) & (counts > 0), np.minimum(counts, step), rounded)
-    return np.minimum(rounded, (eigenvalues > 1e-12 * flat[0]).sum(axis=1))
+    return np.minimum(rounded, (eigenvalues > 0).sum(axis=1))
 
 
 def reduce_output(
@@ -84,11 +85,14 @@ def reduce_output(
         mean[cluster] = block.mean(axis=0, dtype=np.float64)
         return block - mean[cluster]
 
+    energy = float(np.mean(np.square(visibility[:: max(1, poses // 16)]), dtype=np.float64))
+    noise = ROUNDING * energy * width
     for cluster in range(len(slots)):
         block = deviations(cluster)
         gram = (block @ block.T).astype(np.float64) / poses
         eigenvalues, eigenvectors = np.linalg.eigh(gram)
-        values[cluster] = np.maximum(eigenvalues[::-1], 0.0)
+        values[cluster] = np.where(eigenvalues > noise, eigenvalues, 0.0)[::-1]
+        values[cluster, poses - 1 :] = 0.0  # deviations from a mean have one rank less
         vectors[cluster] = eigenvectors[:, ::-1]
     latents = choose_counts(values, variance, average, step)
     targets = np.zeros((len(slots), poses, int(latents.max(initial=0))))

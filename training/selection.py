@@ -18,7 +18,8 @@ from training.regression import Fit
 
 __all__ = ["Fold", "choose_alpha", "folds_over_clips"]
 
-ALPHAS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
+ALPHAS = (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 1.0)
+START = 3e-3
 FEWEST_POSES = 4  # a fold that trains on fewer says nothing
 
 
@@ -62,29 +63,52 @@ def choose_alpha(
     targets: Tensor,
     folds: Sequence[Fold],
     alphas: Sequence[float] = ALPHAS,
+    start: float = START,
     on_candidate: Callable[[float, float], None] | None = None,
 ) -> tuple[float, dict[float, float]]:
-    """The α of least validation error, and every candidate's relative error of the latents.
+    """The α of least validation error, and the relative error of the latents of all tried.
+
+    Descends from ``start`` to the nearest local minimum: the error has one valley in log α, and
+    a fit of every candidate would cost more than the final fit.
 
     Args:
         fit: (inputs (C, P, K), targets (C, P, L), α) to a fit.
         inputs: of all training poses, (C, P, K).
         targets: their latents, (C, P, L).
         folds: from :func:`folds_over_clips`.
-        alphas: candidates.
+        alphas: candidates, ascending, ``start`` among them.
+        start: tried first.
         on_candidate: called with each α and its error.
     """
     signal = sum(float(targets[:, fold.validate].square().sum()) for fold in folds)
     errors: dict[float, float] = {}
-    for alpha in alphas:
-        lost = 0.0
-        for fold in folds:
-            train = torch.from_numpy(np.flatnonzero(fold.train))
-            validate = torch.from_numpy(np.flatnonzero(fold.validate))
-            fitted = fit(inputs[:, train], targets[:, train], alpha)
-            residual = fitted(inputs[:, validate]) - targets[:, validate]
-            lost += float(residual.square().sum())
-        errors[alpha] = (lost / max(signal, 1e-30)) ** 0.5
-        if on_candidate is not None:
-            on_candidate(alpha, errors[alpha])
-    return min(errors, key=lambda a: errors[a]), errors
+
+    def error(position: int) -> float:
+        alpha = alphas[position]
+        if alpha not in errors:
+            lost = sum(validation_loss(fit, inputs, targets, fold, alpha) for fold in folds)
+            errors[alpha] = (lost / max(signal, 1e-30)) ** 0.5
+            if on_candidate is not None:
+                on_candidate(alpha, errors[alpha])
+        return errors[alpha]
+
+    best = alphas.index(start)
+    for direction in (1, -1):
+        while 0 <= best + direction < len(alphas) and error(best + direction) < error(best):
+            best += direction
+    return alphas[best], errors
+
+
+def validation_loss(
+    fit: Callable[[Tensor, Tensor, float], Fit],
+    inputs: Tensor,
+    targets: Tensor,
+    fold: Fold,
+    alpha: float,
+) -> float:
+    """Squared error of the fold's validation latents after a fit to its training poses."""
+    train = torch.from_numpy(np.flatnonzero(fold.train)).to(inputs.device)
+    validate = torch.from_numpy(np.flatnonzero(fold.validate)).to(inputs.device)
+    fitted = fit(inputs[:, train], targets[:, train], alpha)
+    residual = fitted(inputs[:, validate]) - targets[:, validate]
+    return float(residual.square().sum())

@@ -97,13 +97,13 @@ def test_terminal_gets_a_bar_only_after_a_while(monkeypatch: pytest.MonkeyPatch)
 
 def test_stages_of_a_fit_are_progress() -> None:
     seen: list[tuple[str, int, int]] = []
-    monitor = StageMonitor(lambda what, done, total: seen.append((what, done, total)))
+    monitor = StageMonitor(lambda *report: seen.append(report))
     monitor.stage("clusters")
     monitor.stage("fit")
     monitor.progress(2, 2, 0.5)
     monitor.stage("error")
-    assert seen == [("clusters", 0, 0), ("clusters", 1, 1), ("fit", 0, 0), ("fit", 2, 2),
-                    ("error", 0, 0)]  # fmt: skip
+    assert seen == [("clusters", 0, 0), ("clusters", 1, 1), ("fit", 0, 0),
+                    ("fit", 2, 2, "loss 0.5000"), ("error", 0, 0)]  # fmt: skip
 
 
 def test_stage_of_unknown_length_is_shown_at_once() -> None:

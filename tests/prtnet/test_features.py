@@ -23,13 +23,13 @@ def moved(poses, joints, rotation, offset):
 def slow_occluders(features, pose):
     """One pose, one cluster, one point, one sphere at a time."""
     joints = pose[: 12 * features.joints].reshape(-1, 3, 4).astype(np.float64)
-    clusters, points, _ = features.near.shape
+    clusters, points, _ = features.point.shape
     result = np.zeros((clusters, points, features.order**2))
     for c in range(clusters):
         home = joints[features.cluster_joint[c]]
         scale = np.linalg.norm(home[:, 0])
         for m in range(points):
-            for s in features.near[c, m]:
+            for s in features.near[c]:
                 rides = joints[features.spheres.joint[s]]
                 centre = rides[:, :3] @ features.spheres.centre[s] + rides[:, 3]
                 radius = features.spheres.radius[s] * np.linalg.norm(rides[:, 0])
@@ -45,7 +45,7 @@ def slow_occluders(features, pose):
     return result.reshape(clusters, -1)
 
 
-@pytest.mark.parametrize("order", [2, 4, 5])
+@pytest.mark.parametrize("order", [1, 3, 4])
 def test_occluders_equal_the_slow_reference(order):
     features = random_features("occluders", joints=5, clusters=3, order=order)
     poses = random_poses(4, 5)
@@ -100,7 +100,7 @@ def test_morph_weights_pass_through():
 def test_a_point_inside_a_sphere_and_one_at_its_centre_are_finite():
     spheres = Spheres(np.zeros(2, np.int32), np.zeros((2, 3), np.float32), np.ones(2, np.float32))
     point = np.array([[[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]], dtype=np.float32)
-    near = np.array([[[0, 1], [0, 1]]], dtype=np.int32)
+    near = np.array([[0, 1]], dtype=np.int32)
     pose = np.concatenate([np.eye(3), np.zeros((3, 1))], axis=1).reshape(1, -1)
     values = Occluders(spheres, np.zeros(1, np.int32), point, near, 3, 1)(pose.astype(np.float32))
     assert np.isfinite(values).all()

@@ -35,7 +35,7 @@ def test_graph_equals_the_numpy_reference(kind, features, morphs):
             assert np.ptp(run(model, random_poses(2, 5, morphs)), axis=0).max() > 0.1
 
 
-@pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("order", [1, 2, 3])
 def test_every_order_of_the_caps(order):
     model = random_model(feature_order=order, seed=order)
     poses = random_poses(3, 5, seed=order)

@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from training.regression import fit_linear
+from training.selection import ALPHAS, choose_alpha, folds_over_clips, validation_loss
+
+
+def sources(*rows):
+    return np.array(rows, dtype=bool)
+
+
+def test_a_fold_never_sees_its_clip_nor_poses_mixed_from_it():
+    table = sources(*[[1, 0, 0]] * 6, *[[0, 1, 0]] * 5, *[[0, 0, 1]] * 5, *[[1, 1, 0]] * 4)
+    folds = folds_over_clips(table)
+    assert len(folds) == 3
+    for fold in folds:
+        assert not (fold.train & fold.validate).any()
+        seen, asked = table[fold.train].any(axis=0), table[fold.validate].any(axis=0)
+        assert not (seen & asked).any()
+    assert sum(fold.validate.sum() for fold in folds) == 16  # mixed poses validate nothing
+
+
+def test_many_clips_are_grouped_evenly():
+    table = np.repeat(np.eye(9, dtype=bool), [5, 9, 7, 5, 6, 8, 5, 5, 10], axis=0)
+    folds = folds_over_clips(table, most=4)
+    assert len(folds) == 4
+    sizes = [int(fold.validate.sum()) for fold in folds]
+    assert max(sizes) - min(sizes) <= 5
+
+
+def test_one_clip_has_no_folds():
+    assert folds_over_clips(sources([1, 0], [1, 0])) == []
+
+
+def test_best_alpha_is_between_too_stiff_and_too_loose():
+    """More inputs than poses and noisy targets: the least α overfits, the largest says nothing."""
+    generator = torch.Generator().manual_seed(0)
+    x = torch.randn(3, 60, 50, generator=generator, dtype=torch.float64)
+    mix = torch.randn(3, 50, 2, generator=generator, dtype=torch.float64)
+    mix[:, 3:] = 0.0
+    noise = torch.randn(3, 60, 2, generator=generator, dtype=torch.float64)
+    folds = folds_over_clips(np.repeat(np.eye(3, dtype=bool), 20, axis=0))
+    tried = []
+    alpha, errors = choose_alpha(
+        fit_linear, x, x @ mix + 0.7 * noise, folds, on_candidate=lambda a, _: tried.append(a)
+    )
+    assert alpha not in (ALPHAS[0], ALPHAS[-1])
+    assert errors[alpha] == min(errors.values())
+    assert sorted(errors) == sorted(tried)
+    y = x @ mix + 0.7 * noise
+    lost = [sum(validation_loss(fit_linear, x, y, fold, a) for fold in folds) for a in ALPHAS]
+    assert ALPHAS[int(np.argmin(lost))] == alpha
