@@ -17,9 +17,9 @@ from prtnet.scene import SkinnedScene, face_normals
 
 __all__ = ["branches"]
 
-LIMB = 0.03  # of the skin's area
-LOOSE = 0.01  # of the body's size: a node whose place moves more is not fixed to its parent
-RIGID = 0.005  # of the body's size: distances that vary less are kept
+LIMB = 0.02  # of the skin's area
+LOOSE = 0.001  # of the body's size: a node whose place varies more is not fixed to its parent
+KEPT = 0.1  # of that variation: a distance that varies less is kept
 
 
 def branches(scene: SkinnedScene, moments: LocalPose) -> IntArray:
@@ -64,16 +64,16 @@ def loose_ends(
     parents = scene.rig.parents
     places = scene.rig.model_matrices(moments)[..., :3, 3]  # [M, N, 3]
     size = np.ptp(scene.rest().positions[0], axis=0).max()
-    moved = np.ptp(moments.translation, axis=0).max(axis=1) > LOOSE * size
+    spread = np.linalg.norm(np.std(moments.translation, axis=0), axis=1)
     pairs = []
-    for node in np.flatnonzero(moved & skinned & (parents >= 0)):
+    for node in np.flatnonzero((spread > LOOSE * size) & skinned & (parents >= 0)):
         family = np.isin(np.arange(len(parents)), path_between(parents, int(node), -1))
         family |= descendants(parents, int(node))
         distances = np.linalg.norm(places - places[:, node, None], axis=2)
         varies = np.std(distances, axis=0)
-        varies[family | ~skinned | (distances.mean(axis=0) < RIGID * size)] = np.inf
+        varies[family | ~skinned] = np.inf
         partner = int(np.argmin(varies))
-        if varies[partner] < RIGID * size:
+        if varies[partner] < KEPT * spread[node]:
             pairs.append((int(node), partner))
     return pairs
 

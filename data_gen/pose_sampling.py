@@ -3,8 +3,8 @@
 The joints are cut into branches: arms, legs, trunk, head (``data_gen.branches``). Each branch
 takes its local transforms from a random moment of the training clips, half of the time from the way
 between two moments; so does the root, which places the whole body. Noise is added, and every joint
-is kept within the range it was seen in. Half of the poses take all their branches from one clip, so
-that a model can still be validated on clips it was not fitted to.
+is kept within the range it was seen in: one that never moves stays. Half of the poses take all
+their branches from one clip, so that a model can still be validated on clips it was not fitted to.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ __all__ = ["PoseSampler"]
 LIBRARY_FPS = 30.0  # moments a second that limbs are taken from
 LIBRARY_MOMENTS = 3000  # at most, over all clips
 NOISE = 0.04  # radians
-STILL = 1e-3  # radians: joints that turn less never move
 BLENDED = 0.5  # share of branches on the way between two moments
 ONE_CLIP = 0.5  # share of poses of a single clip
 
@@ -53,8 +52,6 @@ class PoseSampler:
         self._mean = mean_rotations(self._moments.rotation)
         turns = self._turns(self._moments.rotation)
         self._lowest, self._highest = turns.min(axis=0), turns.max(axis=0)  # [N, 3]
-        moving = np.max(self._highest - self._lowest, axis=1) > STILL
-        self._noise = np.where(moving, NOISE, 0.0)[:, None]
         weights = self._moments.weights
         self._morphs = (weights.min(axis=0), weights.max(axis=0)) if weights.size else None
 
@@ -80,7 +77,7 @@ class PoseSampler:
         a, b, u = first[self._branch], second[self._branch], share[self._branch]
         m = self._moments
         rotation = slerp(m.rotation[a, nodes], m.rotation[b, nodes], u)
-        noise = self._noise * rng.standard_normal((len(nodes), 3))
+        noise = NOISE * rng.standard_normal((len(nodes), 3))
         turns = np.clip(self._turns(rotation) + noise, self._lowest, self._highest)
         rotation = (self._mean * Rotation.from_rotvec(turns)).as_quat()
         place, scale = (

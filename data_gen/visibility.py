@@ -27,14 +27,13 @@ from prtnet.scene import Receivers, Scene
 __all__ = ["Hemisphere", "PoseTracer", "TracedPose", "Tracer", "trace_pose", "trace_visibility"]
 
 BATCH = 1 << 17  # rays traced at once: 3.5 MB of them, which stay in the cache
-THINNEST = 1e-7  # triangles flatter than this, relative to their longest edge, hide nothing
 
 
 class Tracer:
     """The triangles of one pose, to be asked what they hide.
 
     Embree counts in float32: triangles are first centred and scaled to the unit cube, in float64,
-    so that scenes of any size and place are traced alike. Degenerate triangles are left out.
+    so that scenes of any size and place are traced alike. Degenerate triangles hide nothing.
 
     Args:
         positions: posed vertices (V_render, 3), finite.
@@ -42,24 +41,18 @@ class Tracer:
     """
 
     def __init__(self, positions: FloatArray, faces: IntArray) -> None:
-        used = positions[np.unique(faces)] if len(faces) else positions[:1]
+        used = positions[np.unique(faces)]
         low, high = used.min(axis=0).astype(np.float64), used.max(axis=0).astype(np.float64)
         self.centre = (low + high) / 2
         self.scale = float(np.max(high - low)) / 2 or 1.0
         # Positions were rounded before they came here: far away, by more than the lift.
-        rounding = np.spacing(np.float32(np.abs(used).max(initial=0.0)))
-        self.slack = 4.0 * float(rounding) / self.scale
+        rounding = np.spacing(np.float32(np.abs(used).max()))
+        self.slack = 2.0 * float(rounding) / self.scale
         unit = self.normalise(positions)
-        a, b, c = (unit[faces[:, k]] for k in range(3))
-        longest = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], 0)
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        solid = np.ascontiguousarray(faces[area > THINNEST * longest], dtype=np.int32)
         # Embree's default mode is a quarter faster than its robust one, and lets about one ray in
         # 150,000 slip through an edge: far below the noise.
         self.scene = EmbreeScene()
-        self.empty = len(solid) == 0
-        if not self.empty:
-            TriangleMesh(self.scene, unit.astype(np.float32), solid)
+        TriangleMesh(self.scene, unit.astype(np.float32), faces.astype(np.int32))
 
     def normalise(self, points: FloatArray) -> FloatArray:
         """Points (N, 3) in the tracer's own coordinates, float64."""
@@ -75,8 +68,6 @@ class Tracer:
 
     def occluded(self, origins: FloatArray, directions: FloatArray) -> BoolArray:
         """Which rays hit a triangle, (N,). The origins come from ``origins``; both float32."""
-        if self.empty:
-            return np.zeros(len(origins), dtype=bool)
         hits = self.scene.run(origins, directions, query="OCCLUDED")
         return np.asarray(hits) != -1
 
