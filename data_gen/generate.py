@@ -61,6 +61,11 @@ class GenerateConfig:
     block: int = 8
     """Poses written at a time: one chunk of every array."""
 
+    @property
+    def rate(self) -> float | None:
+        """Poses a second; None where a count is given instead."""
+        return DEFAULT_FPS if self.fps is None and self.count is None else self.fps
+
     def check(self) -> None:
         """Raise PrtnetError where a value is impossible."""
         for name, low in (("order", 1), ("rays", 1), ("threads", 1), ("block", 1), ("sample", 0)):
@@ -105,7 +110,7 @@ def generate(
         scene,
         config.clips,
         config.holdout,
-        config.fps if config.fps or config.count else DEFAULT_FPS,
+        config.rate,
         config.count,
         config.sample,
         config.seed,
@@ -200,7 +205,7 @@ def describe(
         "order": config.order,
         "rays": config.rays,
         "seed": config.seed,
-        "fps": config.fps,
+        "fps": config.rate,
         "count": config.count,
         "sample": config.sample,
         "two_sided": config.two_sided,
