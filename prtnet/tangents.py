@@ -174,12 +174,13 @@ def any_tangent(normals: FloatArray) -> FloatArray:
 
 def perpendicular(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     """The part of ``vectors`` in the plane of unit ``normals``."""
-    return vectors - np.sum(vectors * normals, axis=-1, keepdims=True) * normals
+    return vectors - np.einsum("...i,...i->...", vectors, normals)[..., None] * normals
 
 
 def tangents_beside(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     """Unit tangents nearest to ``vectors`` (..., 3); any where a vector is along the normal."""
     flat = perpendicular(unit(vectors), normals)
-    short = np.linalg.norm(flat, axis=-1, keepdims=True) < SMALLEST
-    flat = np.where(short, any_tangent(normals), flat)
+    short = np.einsum("...i,...i->...", flat, flat) < SMALLEST**2
+    if short.any():
+        flat[short] = any_tangent(normals[short])
     return unit(perpendicular(unit(flat), normals), (1.0, 0.0, 0.0))
