@@ -104,18 +104,32 @@ def trace_visibility(
     """
     count, rays = len(origins), hemisphere.rays
     size = min(max(1, BATCH // rays), count)
+    rotations = np.ascontiguousarray(frames.transpose(0, 2, 1))
+    # Fresh pages cost more than all that is written to them: every batch uses the same ones.
     directions = np.empty((size, rays, 3), dtype=np.float32)
     starts = np.empty_like(directions)
+    occluded = np.empty((size, rays), dtype=np.float32)
     visibility = np.empty((count, hemisphere.order**2), dtype=np.float32)
     for first in range(0, count, size):
         batch = slice(first, min(first + size, count))
         n = batch.stop - first
-        np.matmul(hemisphere.directions, frames[batch].transpose(0, 2, 1), out=directions[:n])
-        starts[:n] = origins[batch, None]
+        np.matmul(hemisphere.directions, rotations[batch], out=directions[:n])
+        repeat_rows(origins[batch], starts[:n])
         hit = tracer.occluded(starts[:n].reshape(-1, 3), directions[:n].reshape(-1, 3))
-        visibility[batch] = hit.reshape(n, rays).astype(np.float32) @ hemisphere.basis
+        occluded[:n] = hit.reshape(n, rays)
+        np.matmul(occluded[:n], hemisphere.basis, out=visibility[batch])
     visibility[:, 0] += np.float32(math.sqrt(4 * math.pi))
     return visibility
+
+
+def repeat_rows(rows: FloatArray, out: FloatArray) -> None:
+    """Write each of ``rows`` (N, 3) to all of ``out[n]`` (K, 3), by doubling: wide copies."""
+    out[:, 0] = rows
+    filled = 1
+    while filled < out.shape[1]:
+        more = min(filled, out.shape[1] - filled)
+        out[:, filled : filled + more] = out[:, :more]
+        filled += more
 
 
 @dataclass(frozen=True, eq=False)
