@@ -1,4 +1,4 @@
-"""What a regressor sees of a pose: joint angles, or the occluders around each cluster.
+"""What a regressor sees of a pose: joint or dihedral angles, or the occluders of each cluster.
 
 These are the reference evaluations; the ONNX graph repeats them in portable operators.
 """
@@ -15,8 +15,9 @@ from prtnet import sh
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.occluders import Spheres, cap_integrals
 
-__all__ = ["Features", "JointAngles", "Occluders", "features_from_arrays"]
+__all__ = ["DihedralAngles", "Features", "JointAngles", "Occluders", "features_from_arrays"]
 
+FULL_FOLD = 1e-2  # of 2 + 2 cos θ: beyond 174° a fold's angle is not resolved in single precision
 SMALLEST = 1e-12  # squared lengths below it are no direction
 
 
@@ -77,6 +78,43 @@ class JointAngles(Features):
     def arrays(self) -> dict[str, FloatArray | IntArray]:
         """See :class:`Features`."""
         return {"joint": self.joint, "parent": self.parent, "joints": np.array([self.joints])}
+
+
+@dataclass(frozen=True, eq=False)
+class DihedralAngles(Features):
+    """2 sin(θ/2) of the angle θ between the two faces at each interior edge of a point cache.
+
+    "Arbitrary BRDFs" section 5.1 takes θ itself; 2 sin(θ/2) is nearly θ, grows with it up to
+    174°, and needs no arctangent. An edge whose face has no area gives 0.
+
+    Attributes:
+        edge: for each edge its two ends and the vertices across, of the face on its left and of
+            the one on its right, (E, 4).
+    """
+
+    kind: ClassVar[str] = "dihedral_angles"
+    edge: IntArray
+
+    def __call__(self, poses: FloatArray) -> FloatArray:
+        """See :class:`Features`."""
+        count = max(1, 500_000 // max(1, len(self.edge)))
+        parts = [self._block(poses[i : i + count]) for i in range(0, len(poses), count)]
+        return np.concatenate(parts)[:, None].astype(np.float32)
+
+    def _block(self, poses: FloatArray) -> FloatArray:
+        points = poses.astype(np.float64).reshape(len(poses), -1, 3)
+        start, end, left, right = (points[:, self.edge[:, k]] for k in range(4))
+        along = directions(end - start)
+        # Unit normals: in metres or millimetres the same.
+        first = directions(np.cross(along, directions(left - start)))
+        second = directions(np.cross(directions(right - start), along))
+        cosine = np.sum(first * second, axis=-1)
+        sine = np.sum(np.cross(first, second) * along, axis=-1)
+        return 2.0 * sine / np.sqrt(np.maximum(2.0 + 2.0 * cosine, FULL_FOLD))
+
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
+        """See :class:`Features`."""
+        return {"edge": self.edge}
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +205,8 @@ def features_from_arrays(kind: str, arrays: dict[str, Any]) -> Features:
     Raises:
         KeyError: an array is missing, or the kind is unknown.
     """
+    if kind == DihedralAngles.kind:
+        return DihedralAngles(arrays["edge"])
     joints = int(arrays["joints"][0])
     if kind == JointAngles.kind:
         return JointAngles(arrays["joint"], arrays["parent"], joints)

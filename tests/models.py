@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from prtnet.features import Features, JointAngles, Occluders
+from prtnet.features import DihedralAngles, Features, JointAngles, Occluders
 from prtnet.model import Regressor, VisibilityModel
 from prtnet.occluders import Spheres
 
@@ -27,6 +27,9 @@ def random_features(kind: str, joints: int, clusters: int, order: int, seed: int
         parent = np.arange(-1, joints - 1)
         moving = np.arange(0, joints, 2)
         return JointAngles(moving.astype(np.int32), parent[moving].astype(np.int32), joints)
+    if kind == "dihedral_angles":  # of a cache with four vertices for each of the joints' numbers
+        vertices = [rng.choice(4 * joints, 4, replace=False) for _ in range(9)]
+        return DihedralAngles(np.array(vertices, dtype=np.int32))
     spheres = Spheres(
         rng.integers(0, joints, 11).astype(np.int32),
         rng.normal(0, 0.2, (11, 3)).astype(np.float32),
@@ -64,7 +67,7 @@ def random_model(
     latents = rng.choice([0, 2, most], clusters).astype(np.int32)
     if kind == "constant":
         latents[:] = 0
-    shared = 1 if features == "joint_angles" else clusters
+    shared = clusters if features == "occluders" else 1
 
     def normal(*shape: int) -> np.ndarray:
         return rng.normal(size=shape).astype(np.float32)

@@ -17,8 +17,9 @@ class TrainConfig:
 
     kind: Literal["constant", "linear", "neural"] = "neural"
     """The regressor: none at all, ridge regression, or one hidden layer of tanh."""
-    features: Literal["joint_angles", "occluders"] = "occluders"
-    """What it sees: the papers' joint angles, or the occluders around each cluster."""
+    features: Literal["joint_angles", "occluders"] | None = None
+    """What it sees: the papers' joint angles (dihedral angles for point caches), or the occluders
+    around each cluster; when not given, occluders for skinned scenes."""
     clusters: int = 64
     """Clusters of receivers, equally large."""
     neurons: int = 32

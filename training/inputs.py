@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.features import JointAngles, Occluders, joint_matrices
+from prtnet.features import DihedralAngles, JointAngles, Occluders, joint_matrices
 from prtnet.occluders import fit_spheres
 
-__all__ = ["fit_joint_angles", "fit_occluders", "moving_joints"]
+__all__ = ["fit_joint_angles", "fit_occluders", "interior_edges", "moving_joints"]
 
 STILL = 1e-4  # a joint whose six floats never leave this range does not move
 
@@ -24,6 +24,31 @@ def moving_joints(angles: FloatArray) -> IntArray:
     """Joints whose six floats (P, 6·J) change over the poses."""
     spread = np.ptp(angles.reshape(len(angles), -1, 6), axis=0).max(axis=1)
     return np.flatnonzero(spread > STILL).astype(np.int32)
+
+
+def interior_edges(faces: IntArray, welded: IntArray) -> DihedralAngles:
+    """Dihedral angles of the edges that have a face on either side.
+
+    Args:
+        faces: triangles over render vertices, (T, 3).
+        welded: for each render vertex a number shared by those in the same place, (V_render,).
+    """
+    _, representative, inverse = np.unique(welded, return_index=True, return_inverse=True)
+    corners = representative[inverse[faces]]
+    corners = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
+    starts, ends = corners, np.roll(corners, -1, axis=1)
+    table = np.stack([starts, ends, np.roll(corners, -2, axis=1)], axis=-1).reshape(-1, 3)
+    forward = table[table[:, 0] < table[:, 1]]
+    backward = table[table[:, 0] > table[:, 1]][:, [1, 0, 2]]
+    # An edge used twice in one direction is no manifold's: its first face stands for both.
+    _, first = np.unique(forward[:, :2], axis=0, return_index=True)
+    _, other = np.unique(backward[:, :2], axis=0, return_index=True)
+    forward, backward = forward[first], backward[other]
+    size = len(representative) + int(corners.max(initial=0)) + 1
+    ours, theirs = (side[:, 0].astype(np.int64) * size + side[:, 1] for side in (forward, backward))
+    _, left, right = np.intersect1d(ours, theirs, assume_unique=True, return_indices=True)
+    edge = np.concatenate([forward[left], backward[right, 2:]], axis=1)
+    return DihedralAngles(edge.astype(np.int32))
 
 
 def farthest_points(points: FloatArray, count: int) -> FloatArray:

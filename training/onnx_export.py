@@ -13,7 +13,7 @@ import onnx
 
 from prtnet import sh
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.features import SMALLEST, Features, JointAngles, Occluders
+from prtnet.features import FULL_FOLD, SMALLEST, DihedralAngles, Features, JointAngles, Occluders
 from prtnet.files import writing
 from prtnet.model import VisibilityModel
 from training.onnx_graph import GraphBuilder
@@ -44,6 +44,43 @@ def joint_angle_nodes(graph: GraphBuilder, features: JointAngles) -> str:
     parent = graph.node("Add", parent, graph.constant((1.0 - has_parent) * np.eye(3)))
     local = graph.node("MatMul", graph.node("Transpose", parent, perm=[0, 1, 3, 2]), child)
     return graph.reshape(graph.slice(local, 0, 2, 3), [-1, 1, 6 * len(features.joint)])
+
+
+def unit_nodes(graph: GraphBuilder, vectors: str) -> str:
+    """Unit vectors of (P, 3, E); a vanishing one stays nearly zero."""
+    square = graph.clip(graph.total(graph.node("Mul", vectors, vectors), 1, keep=True), SMALLEST)
+    return graph.node("Div", vectors, graph.node("Sqrt", square))
+
+
+def cross_nodes(graph: GraphBuilder, a: str, b: str) -> str:
+    """Cross products of (P, 3, E)."""
+    ahead, behind = graph.constant(np.array([1, 2, 0])), graph.constant(np.array([2, 0, 1]))
+
+    def product(first: str, second: str) -> str:
+        left = graph.node("Gather", a, first, axis=1)
+        return graph.node("Mul", left, graph.node("Gather", b, second, axis=1))
+
+    return graph.node("Sub", product(ahead, behind), product(behind, ahead))
+
+
+def dihedral_angle_nodes(graph: GraphBuilder, features: DihedralAngles, pose_size: int) -> str:
+    """(P, 1, E) 2 sin(θ/2) of every interior edge."""
+    points = graph.reshape("pose", [-1, pose_size // 3, 3])
+    points = graph.node("Transpose", points, perm=[0, 2, 1])
+    start, end, left, right = (
+        graph.node("Gather", points, graph.constant(features.edge[:, k]), axis=2) for k in range(4)
+    )
+    along, left, right = (
+        unit_nodes(graph, graph.node("Sub", vertex, start)) for vertex in (end, left, right)
+    )
+    first = unit_nodes(graph, cross_nodes(graph, along, left))
+    second = unit_nodes(graph, cross_nodes(graph, right, along))
+    cosine = graph.total(graph.node("Mul", first, second), 1, keep=True)
+    sine = graph.node("Mul", cross_nodes(graph, first, second), along)
+    two = graph.constant(2.0)
+    twice = graph.node("Mul", graph.total(sine, 1, keep=True), two)
+    base = graph.clip(graph.node("Add", graph.node("Mul", cosine, two), two), FULL_FOLD)
+    return graph.node("Div", twice, graph.node("Sqrt", base))
 
 
 def near_nodes(graph: GraphBuilder, features: Occluders) -> tuple[str, str]:
@@ -161,31 +198,49 @@ def occluder_nodes(graph: GraphBuilder, features: Occluders) -> str:
     return graph.reshape(every, [-1, clusters, points * features.order**2])
 
 
-def feature_nodes(
-    graph: GraphBuilder, features: Features, pose_size: int
-) -> tuple[str, FloatArray]:
-    """(P, 1 or C, F) values, morph weights last, and the (F, F) map from them to the features."""
+def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> str:
+    """(P, 1 or C, F) values, morph weights last; those of Occluders lack :func:`band_map`."""
+    if isinstance(features, DihedralAngles):
+        return dihedral_angle_nodes(graph, features, pose_size)
     if isinstance(features, JointAngles):
-        value, clusters, joints = joint_angle_nodes(graph, features), 1, features.joints
-        linear: FloatArray = np.eye(6 * len(features.joint))
+        value, clusters = joint_angle_nodes(graph, features), 1
     elif isinstance(features, Occluders):
-        value, clusters, joints = (
-            occluder_nodes(graph, features),
-            len(features.near),
-            features.joints,
-        )
-        linear = np.kron(np.eye(features.point.shape[1]), band_map(features.order))
+        value, clusters = occluder_nodes(graph, features), len(features.near)
     else:
         raise TypeError(f"no ONNX form of {type(features).__name__}")
-    morphs = pose_size - 12 * joints
+    morphs = pose_size - 12 * features.joints
     if morphs == 0:
-        return value, linear
-    weights = graph.reshape(graph.slice("pose", 12 * joints, pose_size, 1), [-1, 1, morphs])
+        return value
+    weights = graph.slice("pose", 12 * features.joints, pose_size, 1)
+    weights = graph.reshape(weights, [-1, 1, morphs])
     copies = graph.node("Mul", weights, graph.constant(np.ones((clusters, 1))))
-    whole = np.zeros((len(linear) + morphs,) * 2)
-    whole[: len(linear), : len(linear)] = linear
-    whole[len(linear) :, len(linear) :] = np.eye(morphs)
-    return graph.node("Concat", value, copies, axis=2), whole
+    return graph.node("Concat", value, copies, axis=2)
+
+
+def first_layer_nodes(
+    graph: GraphBuilder, model: VisibilityModel, value: str, first: FloatArray, order: IntArray
+) -> str:
+    """(P, C, 1, N): features through the input PCA and the first layer, clusters in ``order``."""
+    size = model.input_mean.shape[1]
+    mean: FloatArray = model.input_mean.astype(np.float64)
+    basis = model.input_basis.astype(np.float64)
+    if not isinstance(model.features, Occluders):  # the same for all clusters: reduced once
+        value = graph.reshape(value, [-1, 1, 1, size])
+        centred = graph.node("Sub", value, graph.constant(mean[0]))
+        reduced = graph.node("MatMul", centred, graph.constant(basis[0]))
+        return graph.node("MatMul", reduced, graph.constant(first[order]))
+    # Everything linear in a cluster's features is one matrix.
+    caps = model.features.point.shape[1] * model.features.order**2
+    linear: FloatArray = np.eye(size)
+    linear[:caps, :caps] = np.kron(
+        np.eye(model.features.point.shape[1]), band_map(model.features.order)
+    )
+    value = graph.reshape(value, [-1, len(order), 1, size])
+    if not np.array_equal(order, np.arange(len(order))):
+        value = graph.node("Gather", value, graph.constant(order), axis=1)
+    mean = np.linalg.solve(linear.T, mean[order][..., None])[..., 0]
+    centred = graph.node("Sub", value, graph.constant(mean[:, None]))
+    return graph.node("MatMul", centred, graph.constant(linear @ basis[order] @ first[order]))
 
 
 def reconstruction_nodes(
@@ -234,30 +289,16 @@ def reconstruction_nodes(
 
 
 def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
-    """The model as a checked ONNX graph: ``pose`` (poses, D) in, ``visibility`` (poses, V, n²) out.
-
-    The input PCA, and what is linear in the features, is multiplied into the first layer.
-    """
+    """The model as a checked graph: ``pose`` (poses, D) in, ``visibility`` (poses, V, n²) out."""
     graph = GraphBuilder()
     order = np.argsort(model.latents, kind="stable")
-    value, linear = feature_nodes(graph, model.features, model.pose_size)
     regressor = model.regressor
-
-    def by_cluster(array: FloatArray) -> FloatArray:
-        return np.broadcast_to(array.astype(np.float64), (len(order), *array.shape[1:]))[order]
-
-    clusters = 1 if isinstance(model.features, JointAngles) else len(order)
-    value = graph.reshape(value, [-1, clusters, 1, len(linear)])
-    if clusters > 1 and not np.array_equal(order, np.arange(len(order))):
-        value = graph.node("Gather", value, graph.constant(order), axis=1)
+    value = feature_nodes(graph, model.features, model.pose_size)
     first = regressor.weight if regressor.hidden_weight is None else regressor.hidden_weight
-    layer = by_cluster(model.input_basis) @ by_cluster(first)  # [C, F, N]
-    mean = np.linalg.solve(linear.T, by_cluster(model.input_mean)[..., None])[..., 0]
-    centred = graph.node("Sub", value, graph.constant(mean[:, None]))
-    value = graph.node("MatMul", centred, graph.constant(linear @ layer))
+    value = first_layer_nodes(graph, model, value, first.astype(np.float64), order)
     weight, bias = regressor.weight, regressor.bias
     if regressor.hidden_weight is not None and regressor.hidden_bias is not None:
-        shift = by_cluster(regressor.hidden_bias)[:, None]
+        shift = regressor.hidden_bias[order][:, None]
         value = graph.node("Tanh", graph.node("Add", value, graph.constant(shift)))
     else:  # the latents are there already
         weight = np.broadcast_to(np.eye(weight.shape[2]), (len(order), *2 * weight.shape[2:]))

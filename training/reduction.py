@@ -120,14 +120,12 @@ def input_reduction(
     table = table.astype(np.float64)
     mean = table.mean(axis=1)
     centred = table - mean[:, None]
-    covariance = np.swapaxes(centred, 1, 2) @ centred / table.shape[1]
-    eigenvalues, vectors = np.linalg.eigh(covariance)
-    eigenvalues = np.maximum(eigenvalues[:, ::-1], 0.0)
-    vectors = vectors[:, :, ::-1]
+    _, singular, rows = np.linalg.svd(centred, full_matrices=False)
+    eigenvalues, vectors = singular**2 / table.shape[1], np.swapaxes(rows, 1, 2)
     total = eigenvalues.sum(axis=1, keepdims=True)
     reached = np.cumsum(eigenvalues, axis=1) >= variance * total - 1e-15
     needed = np.argmax(reached, axis=1) + 1
-    count = int(min(most, needed.max(), features.shape[2]))
+    count = int(min(most, needed.max(), vectors.shape[2]))
     kept = eigenvalues[:, :count].mean(axis=1)
     scale = 1.0 / np.sqrt(np.where(kept > 1e-20, kept, np.inf))  # a constant input gives zero
     basis = vectors[:, :, :count] * scale[:, None, None]

@@ -20,7 +20,7 @@ from prtnet.metrics import ErrorSum
 from prtnet.model import FORMAT_VERSION, Regressor, VisibilityModel
 from training.clusters import balanced_clusters, cluster_coordinates
 from training.config import TrainConfig
-from training.inputs import fit_joint_angles, fit_occluders
+from training.inputs import fit_joint_angles, fit_occluders, interior_edges
 from training.reduction import input_reduction, reduce_output
 from training.regression import Fit, average, fit_linear, fit_neural
 from training.selection import Fold, choose_alpha, folds_over_clips
@@ -134,9 +134,12 @@ def fit_features(
 ) -> Features:
     """The configured features, fitted to the dataset's scene."""
     if dataset.joint_weights is None or dataset.joint_parents is None:
-        raise PrtnetError(
-            dataset.path, "is a point cache; models of point caches are not trained by this version"
-        )
+        if config.features == "occluders":
+            raise PrtnetError(
+                "--features", "occluders are spheres that ride on joints, and a point cache has "
+                "none; use joint_angles"
+            )  # fmt: skip
+        return interior_edges(dataset.faces, dataset.receiver_of_vertex)
     if config.features == "joint_angles":
         return fit_joint_angles(poses, dataset.joint_parents)
     return fit_occluders(

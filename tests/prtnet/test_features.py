@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prtnet import sh
-from prtnet.features import JointAngles, Occluders, features_from_arrays
+from prtnet.features import DihedralAngles, JointAngles, Occluders, features_from_arrays
 from prtnet.occluders import Spheres, cap_integrals
 from tests.models import random_features, random_poses
 
@@ -108,7 +108,31 @@ def test_a_point_inside_a_sphere_and_one_at_its_centre_are_finite():
     assert values[0, 0, 9] == pytest.approx(2 * 2 * np.pi * np.sqrt(0.25 / np.pi), rel=1e-5)
 
 
-@pytest.mark.parametrize("kind", ["joint_angles", "occluders"])
+def hinge(angle, scale=1.0):
+    """A square folded along its diagonal by ``angle``: flat at 0, a valley above."""
+    c, s = np.cos(angle), np.sin(angle)
+    points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [-c, s, 0.0]]) * scale
+    return points.reshape(1, -1).astype(np.float32)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
+def test_dihedral_angle_of_a_hinge(scale):
+    features = DihedralAngles(np.array([[0, 1, 2, 3]], dtype=np.int32))
+    for angle in np.linspace(-2.9, 2.9, 21):
+        value = features(hinge(angle, scale)).item()
+        assert abs(value) == pytest.approx(abs(2 * np.sin(angle / 2)), abs=1e-3)
+    assert features(hinge(0.5)).item() == pytest.approx(-features(hinge(-0.5)).item(), abs=1e-6)
+
+
+def test_folded_and_vanished_faces_are_finite():
+    features = DihedralAngles(np.array([[0, 1, 2, 3]], dtype=np.int32))
+    for pose in (hinge(np.pi), hinge(0.0) * 0.0, hinge(0.0) * np.array([1, 1, 0] * 4)):
+        value = features(pose.astype(np.float32)).item()
+        assert np.isfinite(value)
+        assert abs(value) < 10.0
+
+
+@pytest.mark.parametrize("kind", ["joint_angles", "dihedral_angles", "occluders"])
 def test_arrays_round_trip(kind):
     features = random_features(kind, joints=4, clusters=2, order=4)
     again = features_from_arrays(kind, features.arrays())

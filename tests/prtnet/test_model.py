@@ -35,7 +35,7 @@ def slow(model, pose):
 
 
 @pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
-@pytest.mark.parametrize("features", ["joint_angles", "occluders"])
+@pytest.mark.parametrize("features", ["joint_angles", "dihedral_angles", "occluders"])
 def test_equals_the_definition(kind, features):
     model = random_model(kind, features)
     poses = random_poses(3, 5)

@@ -1,0 +1,92 @@
+"""Held-out error, size and speed of models of the robot and the human.
+
+python bench/models.py robot|human [--write]
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+
+import numpy as np
+import torch
+from tables import HUMAN, ROBOT, dataset, per_cent, publish
+
+from prtnet.arrays import IntArray
+from prtnet.dataset import SAMPLED, Dataset
+from prtnet.evaluation import NearestPose, dataset_truth, evaluate
+from runtime.onnx_model import OnnxModel
+from training.config import PRESETS, TrainConfig
+from training.onnx_export import build_onnx
+from training.train import train
+
+COLUMNS = (
+    "model", "held-out", "p99", "signal", "nearest", "floor", "MB", "ms", "latents", "α", "fit s",
+)  # fmt: skip
+
+
+def row(name: str, data: Dataset, config: TrainConfig) -> list[str]:
+    """Train, export and evaluate one model."""
+    started = time.perf_counter()
+    model = train(data, config)
+    print(f"{name}: trained in {time.perf_counter() - started:.0f} s", flush=True)
+    proto = build_onnx(model).SerializeToString()
+    predict = OnnxModel(proto, threads=2)
+    blocks = dataset_truth(data, data.held_out)
+    result = evaluate(model, predict, blocks, NearestPose(data))
+    milliseconds = predict.milliseconds(data.read("pose", slice(1)), repeats=300)
+    return [
+        name,
+        *(per_cent(result[key]) for key in ("rms", "p99", "signal", "nearest", "pca_floor")),
+        f"{len(proto) / 1e6:.2f}",
+        f"{milliseconds:.2f}",
+        f"{np.mean(model.latents):.1f}",
+        f"{model.metadata['alpha']:g}",
+        f"{model.metadata['seconds']['fit']:.1f}",
+    ]
+
+
+class ClipsOnly(Dataset):
+    """A dataset without its sampled poses."""
+
+    def training_poses(self) -> IntArray:
+        return np.setdiff1d(super().training_poses(), self.poses_of(SAMPLED))
+
+
+def robot() -> None:
+    """Ten training clips, four held out, 16 clusters."""
+    data = dataset("robot", "robot.glb", ROBOT)
+    base = dataclasses.replace(PRESETS["default"], clusters=16, latents=60)
+    papers = dataclasses.replace(base, features="joint_angles", input_variance=0.9)
+    rows = [
+        row("linear, joint angles", data, dataclasses.replace(papers, kind="linear")),
+        row("neural, joint angles", data, papers),
+        row("linear, occluders", data, dataclasses.replace(base, kind="linear")),
+        row("neural, occluders", data, base),
+    ]
+    publish("robot", COLUMNS, rows)
+
+
+def human() -> None:
+    """RangeOfMotion and Walk, Playground_A held out; with and without sampled poses."""
+    base = PRESETS["default"]
+    papers = dataclasses.replace(base, features="joint_angles", input_variance=0.9)
+    large = PRESETS["large"]
+    sampled = dataset("human", "human.glb", HUMAN)
+    rows = []
+    for name, data in (
+        ("clips only", ClipsOnly.open(sampled.path)),
+        ("clips and 600 sampled poses", sampled),
+    ):
+        for kind in ("linear", "neural"):
+            for seen, config in (("joint angles", papers), ("occluders", base)):
+                chosen = dataclasses.replace(config, kind=kind)
+                rows.append(row(f"{name}: {kind}, {seen}", data, chosen))
+    rows.append(row("clips and 600 sampled poses: preset large", sampled, large))
+    publish("human", COLUMNS, rows)
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(2)
+    {"robot": robot, "human": human}[sys.argv[1]]()

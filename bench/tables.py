@@ -1,0 +1,87 @@
+"""What the benchmarks share: the sample scenes, datasets made once, and tables for the docs.
+
+A script prints its table and, with ``--write``, puts it into docs/benchmarks.md between the
+markers of its name.
+"""
+
+from __future__ import annotations
+
+import datetime
+import os
+import platform
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from data_gen.generate import GenerateConfig, generate
+from data_gen.readers import read_scene
+from prtnet.dataset import Dataset
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENES = ROOT.parent / "shared" / "data"
+OUT = ROOT / "bench" / "out"
+PAGE = ROOT / "docs" / "benchmarks.md"
+
+ROBOT_HELD_OUT = ("Robot_WalkJump", "Robot_Yes", "Robot_No", "Robot_Standing")
+ROBOT = GenerateConfig(count=20, holdout=ROBOT_HELD_OUT)
+HUMAN = GenerateConfig(fps=8, holdout=("Playground_A",), sample=600)
+
+
+def scene_path(name: str) -> Path:
+    """A sample scene; the script ends with a word where it is absent."""
+    path = SCENES / name
+    if not path.exists():
+        sys.exit(f"{path} is absent: nothing measured")
+    return path
+
+
+def dataset(name: str, scene: str, config: GenerateConfig) -> Dataset:
+    """The named dataset under bench/out, made when it is not there."""
+    path = OUT / f"{name}.zarr"
+    if not path.exists():
+        OUT.mkdir(parents=True, exist_ok=True)
+        source = read_scene(scene_path(scene))
+        generate(
+            source, config, path, lambda done, total: print(f"\r{name} {done}/{total}", end="")
+        )
+        print()
+    return Dataset.open(path)
+
+
+def machine() -> str:
+    """Processor, cores and date: a table without them means nothing."""
+    model = platform.processor() or platform.machine()
+    if Path("/proc/cpuinfo").exists():
+        found = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
+        model = found.group(1) if found else model
+    cores = len(os.sched_getaffinity(0))
+    return f"{model}, {cores} cores, {datetime.date.today():%Y-%m-%d}"
+
+
+def markdown(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A table; every column but the first is flush right."""
+    head = "| " + " | ".join(columns) + " |"
+    rule = "|---|" + "---:|" * (len(columns) - 1)
+    return "\n".join([head, rule, *("| " + " | ".join(map(str, row)) + " |" for row in rows)])
+
+
+def publish(
+    name: str, columns: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
+) -> None:
+    """Print a table; with ``--write`` on the command line also put it into the docs."""
+    text = f"{markdown(columns, rows)}\n\n{note + ' ' if note else ''}({machine()})"
+    print(text)
+    if "--write" not in sys.argv:
+        return
+    begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
+    page = PAGE.read_text(encoding="utf-8")
+    if begin not in page or end not in page:
+        sys.exit(f"{PAGE} has no markers for '{name}'")
+    before, rest = page.split(begin)
+    PAGE.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
+
+
+def per_cent(value: float | None) -> str:
+    """A fraction as a reader wants it."""
+    return "–" if value is None else f"{100 * value:.2f} %"
