@@ -5,6 +5,9 @@ takes its local transforms from a random moment of the training clips, half of t
 between two moments; so does the root, which places the whole body. Noise is added, and every joint
 is kept within the range it was seen in: one that never moves stays. Half of the poses take all
 their branches from one clip, so that a model can still be validated on clips it was not fitted to.
+
+Limbs may pass through each other. Of a human's receivers 7 % were enclosed in sampled poses, 8 % in
+the clips they were made from (a robot's: 28 % in both), so poses are not rejected for that.
 """
 
 from __future__ import annotations
