@@ -1,6 +1,6 @@
 """Tangent frames: how smooth over the surface, and how steady in time, against simpler ones.
 
-    python bench/frames.py SCENE [SCENE …]
+    python bench/frames.py [SCENE …] [--write]
 
 For each scene, over some poses of its first clip:
 
@@ -17,6 +17,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+from tables import per_cent, publish, scene_path
 
 from data_gen.readers import read_scene
 from data_gen.visibility import trace_pose
@@ -105,38 +106,42 @@ def drift(scene: Scene, receivers: Receivers, field: FrameField, times: FloatArr
     return float(angles(carried, after[..., 0].astype(np.float64)).mean())
 
 
+def measure(path: Path, count: int, rays: int) -> list[list[str]]:
+    """A row for each kind of frames."""
+    scene = read_scene(path)
+    receivers = scene.receivers()
+    corners = receivers.of_vertex[scene.faces]
+    edges = np.stack([corners, np.roll(corners, -1, 1)], -1).reshape(-1, 2).T
+    clip = scene.clips[0]
+    times = np.linspace(clip.start, clip.end - STEP, count)
+    poses = scene.poses(clip, times)
+    rows = []
+    for name, field in (
+        ("prtnet", FrameField(scene, receivers, rest_tangents(scene, receivers))),
+        ("first edge", EdgeFrames(scene, receivers)),
+        ("normal only", NormalFrames(scene, receivers)),
+    ):
+        turn, jumps = smoothness(field.frames(poses), edges)
+        v = trace_pose(scene, receivers, field, poses, 4, rays, os.cpu_count() or 1)
+        change = v[:, edges[0]] - v[:, edges[1]]
+        visibility = float(np.sqrt(np.sum(change**2) / np.sum(v[:, edges[0]] ** 2)))
+        moved = drift(scene, receivers, field, times)
+        numbers = [f"{turn:.1f}°", per_cent(jumps), per_cent(visibility), f"{moved:.2f}°"]
+        rows.append([f"{scene.name}: {name}", *numbers])
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenes", nargs="+", type=Path)
+    parser.add_argument("scenes", nargs="*", type=Path)
     parser.add_argument("--poses", type=int, default=3)
     parser.add_argument("--rays", type=int, default=512)
+    parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
-    print("| scene | frames | turn (°) | jumps (%) | visibility (%) | drift (°) |")
-    print("|---|---|---|---|---|---|")
-    for path in arguments.scenes:
-        scene = read_scene(path)
-        receivers = scene.receivers()
-        corners = receivers.of_vertex[scene.faces]
-        edges = np.stack([corners, np.roll(corners, -1, 1)], -1).reshape(-1, 2).T
-        clip = scene.clips[0]
-        times = np.linspace(clip.start, clip.end - STEP, arguments.poses)
-        poses = scene.poses(clip, times)
-        for name, field in (
-            ("prtnet", FrameField(scene, receivers, rest_tangents(scene, receivers))),
-            ("first edge", EdgeFrames(scene, receivers)),
-            ("normal only", NormalFrames(scene, receivers)),
-        ):
-            frames = field.frames(poses)
-            turn, jumps = smoothness(frames, edges)
-            v = trace_pose(scene, receivers, field, poses, 4, arguments.rays, os.cpu_count() or 1)
-            change = v[:, edges[0]] - v[:, edges[1]]
-            visibility = np.sqrt(np.sum(change**2) / np.sum(v[:, edges[0]] ** 2))
-            moved = drift(scene, receivers, field, times)
-            print(
-                f"| {scene.name} | {name} | {turn:.1f} | {100 * jumps:.1f} "
-                f"| {100 * visibility:.2f} | {moved:.2f} |",
-                flush=True,
-            )
+    default = ("human.glb", "robot.glb", "fox.glb", "cloth_train.npz")
+    paths = arguments.scenes or [scene_path(name) for name in default]
+    rows = [row for path in paths for row in measure(path, arguments.poses, arguments.rays)]
+    publish("frames", ["frames", "turn", "jumps", "visibility", "drift"], rows)
 
 
 if __name__ == "__main__":

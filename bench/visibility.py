@@ -1,8 +1,8 @@
 """Ray-traced visibility: noise, speed against bare embreex, and memory.
 
-python bench/visibility.py noise SCENE [SCENE …]     error of few rays against many
-python bench/visibility.py speed SCENE [SCENE …]     `generate` against bare embreex calls
-python bench/visibility.py memory SCENE              peak memory of `generate`
+python bench/visibility.py noise [SCENE …] [--write]     error of few rays against many
+python bench/visibility.py speed [SCENE …] [--write]     generate against bare embreex calls
+python bench/visibility.py memory [SCENE …] [--write]    peak memory of generate
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from tables import per_cent, publish, scene_path
 
 from data_gen.generate import GenerateConfig, generate
 from data_gen.rays import border_operator, departure
@@ -26,6 +27,8 @@ from prtnet.frames import FrameField, rest_tangents
 from prtnet.scene import Scene
 
 TRUTH = 16384  # rays
+FEW = (64, 128, 256, 512, 1024)
+REPEATS = 3
 
 
 def some_poses(scene: Scene, count: int) -> FloatArray:
@@ -36,18 +39,18 @@ def some_poses(scene: Scene, count: int) -> FloatArray:
     )
 
 
-def noise(path: Path, threads: int) -> None:
-    """Relative RMS of visibility traced with fewer rays."""
+def noise(path: Path, threads: int) -> list[str]:
+    """Relative RMS of visibility traced with FEW numbers of rays."""
     scene = read_scene(path)
     receivers = scene.receivers()
     field = FrameField(scene, receivers, rest_tangents(scene, receivers))
     poses = some_poses(scene, 2)
     truth = trace_pose(scene, receivers, field, poses, 4, TRUTH, threads)
-    print(f"{scene.name}: {len(receivers)} receivers, {len(poses)} poses, against {TRUTH} rays")
-    for rays in (64, 128, 256, 512, 1024):
+    errors = []
+    for rays in FEW:
         few = trace_pose(scene, receivers, field, poses, 4, rays, threads)
-        error = np.linalg.norm(few - truth) / np.linalg.norm(truth)
-        print(f"  {rays:5d} rays: {100 * error:.2f} %", flush=True)
+        errors.append(per_cent(float(np.linalg.norm(few - truth) / np.linalg.norm(truth))))
+    return [scene.name, *errors]
 
 
 def bare_seconds(scene: Scene, poses: FloatArray, rays: int, threads: int) -> float:
@@ -78,53 +81,55 @@ def bare_seconds(scene: Scene, poses: FloatArray, rays: int, threads: int) -> fl
     return seconds
 
 
-def speed(path: Path, threads: int, count: int, repeats: int) -> None:
+def speed(path: Path, threads: int, count: int) -> list[str]:
     """Rays a second of whole runs of ``generate``, and of embreex alone on the same rays."""
     scene = read_scene(path)
     clip = max(scene.clips, key=lambda each: each.duration)
     config = GenerateConfig(clips=(clip.name,), count=count, threads=threads)
     poses = scene.poses(clip, clip.times(count=count))
-    whole, bare, total = [], [], 0
-    for _ in range(repeats):
+    whole, bare, share = [], [], []
+    for _ in range(REPEATS):
         with tempfile.TemporaryDirectory() as folder:
             summary = generate(scene, config, Path(folder) / "out.zarr")
         whole.append(summary.rays / summary.seconds / 1e6)
         bare.append(summary.rays / bare_seconds(scene, poses, config.rays, threads) / 1e6)
-        total = summary.rays
-    a, b = statistics.median(whole), statistics.median(bare)
-    print(
-        f"{scene.name}: {count} poses, {total / 1e6:.0f} M rays, {threads} threads: "
-        f"generate {a:.2f} M rays/s, embreex alone {b:.2f} M rays/s: {100 * a / b:.0f} %",
-        flush=True,
-    )
+        share.append(whole[-1] / bare[-1])
+    medians = [f"{statistics.median(rates):.2f}" for rates in (whole, bare)]
+    return [scene.name, str(count), *medians, f"{100 * statistics.median(share):.0f} %"]
 
 
-def memory(path: Path, threads: int, poses: int) -> None:
-    """Peak resident memory of this process after ``generate``."""
+def memory(path: Path, threads: int, poses: int) -> list[str]:
+    """Peak resident memory of this process after ``generate``; few rays, as they do not matter."""
     scene = read_scene(path)
     count = max(1, poses // len(scene.clips))
     with tempfile.TemporaryDirectory() as folder:
         config = GenerateConfig(count=count, rays=16, threads=threads)
         summary = generate(scene, config, Path(folder) / "out.zarr")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    print(f"{scene.name}: {summary.poses} poses, peak {peak:.2f} GB")
+    return [scene.name, str(summary.poses), f"{peak:.2f}"]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=["noise", "speed", "memory"])
-    parser.add_argument("scenes", nargs="+", type=Path)
+    parser.add_argument("scenes", nargs="*", type=Path)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--poses", type=int, default=None)
-    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
-    for path in arguments.scenes:
-        if arguments.what == "noise":
-            noise(path, arguments.threads)
-        elif arguments.what == "speed":
-            speed(path, arguments.threads, arguments.poses or 16, arguments.repeats)
-        else:
-            memory(path, arguments.threads, arguments.poses or 1000)
+    threads = arguments.threads
+    default = ["human.glb"] if arguments.what == "memory" else ["robot.glb", "human.glb"]
+    paths = arguments.scenes or [scene_path(name) for name in default]
+    if arguments.what == "noise":
+        columns = ["scene", *(f"{rays} rays" for rays in FEW)]
+        publish("noise", columns, [noise(path, threads) for path in paths])
+    elif arguments.what == "speed":
+        columns = ["scene", "poses", "generate, M rays/s", "embreex, M rays/s", "share"]
+        rows = [speed(path, threads, arguments.poses or 16) for path in paths]
+        publish("speed", columns, rows, f"Medians of {REPEATS} runs.")
+    else:
+        rows = [memory(path, threads, arguments.poses or 1000) for path in paths]
+        publish("memory", ["scene", "poses", "peak, GB"], rows)
 
 
 if __name__ == "__main__":
