@@ -20,6 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from data_gen.pose_plan import PosePlan, plan_poses
+from data_gen.pose_sampling import MARGIN
 from data_gen.visibility import PoseTracer, TracedPose
 from prtnet.arrays import BoolArray, FloatArray
 from prtnet.dataset import Block, DatasetWriter
@@ -52,6 +53,8 @@ class GenerateConfig:
     """Rays a receiver, over the hemisphere above it."""
     sample: int = 0
     """Poses beyond the clips, recombined from the limbs of the training clips."""
+    margin: float = MARGIN
+    """Radians by which their joints may leave the ranges seen in the clips."""
     two_sided: bool = False
     """Trace the back of the surface too: for cloth."""
     seed: int = 0
@@ -75,6 +78,8 @@ class GenerateConfig:
             raise PrtnetError("--fps", "and --count exclude each other; give one")
         if self.fps is not None and not 0 < self.fps < float("inf"):
             raise PrtnetError("--fps", "must be a positive number")
+        if not 0 <= self.margin < float("inf"):
+            raise PrtnetError("--margin", "must be an angle in radians, at least 0")
         if self.count is not None and self.count < 1:
             raise PrtnetError("--count", "must be at least 1")
 
@@ -114,6 +119,7 @@ def generate(
         config.count,
         config.sample,
         config.seed,
+        config.margin,
     )
     receivers = scene.receivers(config.two_sided)
     tangents = rest_tangents(scene, receivers)
@@ -205,6 +211,7 @@ def describe(
         "order": config.order,
         "rays": config.rays,
         "seed": config.seed,
+        "margin": config.margin,
         "fps": config.rate,
         "count": config.count,
         "sample": config.sample,

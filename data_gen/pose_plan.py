@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_gen.pose_sampling import PoseSampler
+from data_gen.pose_sampling import MARGIN, PoseSampler
 from prtnet.arrays import BoolArray, FloatArray, IntArray
 from prtnet.dataset import SAMPLED
 from prtnet.errors import PrtnetError
@@ -66,6 +66,7 @@ def plan_poses(
     count: int | None = None,
     sample: int = 0,
     seed: int = 0,
+    margin: float = MARGIN,
 ) -> PosePlan:
     """Choose the poses of a dataset.
 
@@ -77,6 +78,7 @@ def plan_poses(
         count: poses of every clip, instead of ``fps``.
         sample: poses recombined from the training clips.
         seed: of those.
+        margin: radians by which their joints may leave the ranges they were seen in.
 
     Raises:
         PrtnetError: unknown names, nothing to train on, or nothing that can be sampled.
@@ -97,7 +99,7 @@ def plan_poses(
     if sample:
         if SAMPLED in names:
             raise PrtnetError("--sample", f"a clip is named '{SAMPLED}'; rename it")
-        sampler = PoseSampler(scene, training, seed)
+        sampler = PoseSampler(scene, training, seed, margin)
         names.append(SAMPLED)
         times.append(np.zeros(sample))
         clip.append(np.full(sample, len(chosen)))

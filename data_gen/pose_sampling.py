@@ -3,7 +3,11 @@
 The joints are cut into branches: arms, legs, trunk, head (``data_gen.branches``). Each branch
 takes its local transforms from a random moment of the training clips, half of the time from the way
 between two moments; so does the root, which places the whole body. Noise is added, and every joint
-is kept within the range it was seen in: one that never moves stays. Half of the poses take all
+is kept within the range it was seen in, widened by a margin: few clips show a joint's whole range,
+and a knee seen from the side would have no thickness at all. A joint that never moves stays. Noise
+and margin were chosen by fitting to one clip of a human, with poses sampled from it, and testing on
+another: from 0.04 and 0 to 0.15 and 0.3 radians the error fell from 11.8 to 11.0 % and from 15.7 to
+12.7 %. Half of the poses take all
 their branches from one clip, so that a model can still be validated on clips it was not fitted to.
 
 Limbs may pass through each other. Of a human's receivers 7 % were enclosed in sampled poses, 8 % in
@@ -27,7 +31,10 @@ __all__ = ["PoseSampler"]
 
 LIBRARY_FPS = 30.0  # moments a second that limbs are taken from
 LIBRARY_MOMENTS = 3000  # at most, over all clips
-NOISE = 0.04  # radians
+NOISE = 0.15  # radians
+MARGIN = 0.3  # radians
+STILL = 1e-4  # radians; a joint that turns less does not move
+MORPH_NOISE = 0.04  # of the range of a morph weight, which is kept
 BLENDED = 0.5  # share of branches on the way between two moments
 ONE_CLIP = 0.5  # share of poses of a single clip
 
@@ -39,12 +46,15 @@ class PoseSampler:
         scene: a skinned scene.
         clips: what to recombine.
         seed: of everything random.
+        margin: radians by which a moving joint may leave the range it was seen in.
 
     Raises:
         PrtnetError: the scene has no joints.
     """
 
-    def __init__(self, scene: Scene, clips: Sequence[Clip], seed: int) -> None:
+    def __init__(
+        self, scene: Scene, clips: Sequence[Clip], seed: int, margin: float = MARGIN
+    ) -> None:
         if not isinstance(scene, SkinnedScene):
             raise PrtnetError(
                 "--sample", "recombines the limbs of skinned scenes; a point cache has none"
@@ -54,7 +64,9 @@ class PoseSampler:
         self._branch = branches(scene, self._moments)
         self._mean = mean_rotations(self._moments.rotation)
         turns = self._turns(self._moments.rotation)
-        self._lowest, self._highest = turns.min(axis=0), turns.max(axis=0)  # [N, 3]
+        lowest, highest = turns.min(axis=0), turns.max(axis=0)  # [N, 3]
+        widened = margin * (highest - lowest > STILL).any(axis=-1, keepdims=True)
+        self._lowest, self._highest = lowest - widened, highest + widened
         weights = self._moments.weights
         self._morphs = (weights.min(axis=0), weights.max(axis=0)) if weights.size else None
 
@@ -98,7 +110,7 @@ class PoseSampler:
         if self._morphs is None:
             return weights
         low, high = self._morphs
-        noise = NOISE * (high - low) * rng.standard_normal(len(weights))
+        noise = MORPH_NOISE * (high - low) * rng.standard_normal(len(weights))
         return np.clip(weights + noise, low, high)
 
     def _turns(self, rotation: FloatArray) -> FloatArray:
