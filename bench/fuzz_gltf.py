@@ -1,6 +1,6 @@
 """Mutated glTF files against the reader: every one must end in a scene or in one line of error.
 
-    python bench/fuzz_gltf.py [CASES [SEED]]
+    python bench/fuzz_gltf.py [CASES [SEED]] [--write]
 
 A mutation damages bytes of either chunk, cuts the file, or changes a value of the JSON. A file
 that is still read must also give a finite pose, receivers and a description, or refuse in one line.
@@ -30,6 +30,7 @@ from prtnet.animation import Channel, Clip, Rig
 from prtnet.errors import PrtnetError
 from prtnet.scene import SkinnedScene
 
+DEFAULTS = (5000, 0)  # cases, seed
 MEMORY = 4 * 2**30  # bytes of address space; more is a failure
 NUMBERS = [-1, 0, 1, 2, 3, 255, 65536, 2**31, 2**32, 2**63, 10**30, 10**400, 0.5, -0.25, 1e-40]
 NUMBERS += [3.4e38, -1e38, 1e308, float("inf"), float("nan")]
@@ -166,8 +167,10 @@ def outcome(path: Path) -> str:
 
 
 def main() -> None:
-    cases = int(sys.argv[1]) if len(sys.argv) > 1 else 5000
-    seed = int(sys.argv[2]) if len(sys.argv) > 2 else 0
+    from tables import publish  # here, as the tests import this module from elsewhere
+
+    numbers = [int(word) for word in sys.argv[1:] if word != "--write"]
+    cases, seed = (*numbers, *DEFAULTS[len(numbers) :])
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     warnings.simplefilter("error")
     counts: collections.Counter[str] = collections.Counter()
@@ -187,9 +190,8 @@ def main() -> None:
             except Exception as error:
                 counts[f"FAILED: {type(error).__name__}"] += 1
                 print(f"case {case}: {type(error).__name__}: {error}")
-    print(f"{cases} mutated files, seed {seed}, {time.perf_counter() - start:.0f} s")
-    for what, count in counts.most_common():
-        print(f"{count:6d}  {what}")
+    note = f"{cases} mutated files, seed {seed}, {time.perf_counter() - start:.0f} s."
+    publish("fuzz", ["outcome", "files"], counts.most_common(), note)
     sys.exit(any(what.startswith("FAILED") for what in counts))
 
 
