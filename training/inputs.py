@@ -17,6 +17,8 @@ def fit_joint_angles(poses: FloatArray, parents: IntArray) -> JointAngles:
     """Joint angles of the joints that move in flattened poses (P, D); parents (J,)."""
     every = JointAngles(np.arange(len(parents), dtype=np.int32), parents, len(parents))
     moving = moving_joints(every(poses)[:, 0, : 6 * len(parents)])
+    if len(moving) == 0:
+        moving = every.joint[:1]  # a feature that says nothing, rather than none
     return JointAngles(moving, parents[moving], len(parents))
 
 

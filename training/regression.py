@@ -75,7 +75,7 @@ def with_ones(x: Tensor) -> Tensor:
 
 def target_scale(targets: Tensor) -> Tensor:
     """Root of each cluster's total variance, (C, 1, 1); 1 where it has none."""
-    variance = targets.var(dim=1, unbiased=False).sum(dim=-1)
+    variance = (targets - targets.mean(dim=1, keepdim=True)).square().mean(dim=1).sum(dim=-1)
     return torch.where(variance > 0, variance, 1.0).sqrt()[:, None, None]
 
 

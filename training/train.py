@@ -75,7 +75,8 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     """Fit a clustered model to the training clips of a dataset.
 
     Raises:
-        PrtnetError: the dataset has no training poses, or no features of this kind.
+        PrtnetError: the dataset has no training poses, values that are not finite, or no features
+            of this kind.
     """
     watch = monitor or Silent()
     started = time.perf_counter()
@@ -83,12 +84,14 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     if len(rows) == 0:
         raise PrtnetError(dataset.path, "holds no training poses; hold out fewer clips")
     visibility, poses = dataset.read("visibility", rows), dataset.read("pose", rows)
+    if not (np.isfinite(visibility).all() and np.isfinite(poses).all()):
+        raise PrtnetError(dataset.path, "holds values that are not finite; generate it again")
 
     watch.stage("clusters and components")
     coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
     slots = balanced_clusters(coordinates, config.clusters, config.seed)
-    variance = 0.0 if config.kind == "constant" else config.output_variance
-    output = reduce_output(visibility, slots, variance, config.latents)
+    latents = 0.0 if config.kind == "constant" else config.latents
+    output = reduce_output(visibility, slots, config.output_variance, latents)
     del visibility
 
     watch.stage("features")

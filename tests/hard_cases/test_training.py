@@ -1,0 +1,103 @@
+"""Data that starves or overfeeds a fit: each gives a finite answer or a clear error."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from prtnet.errors import PrtnetError
+from tests.models import random_poses
+from tests.training.data import memory_dataset
+from tests.training.test_train import SMALL
+from training.train import train
+
+KINDS = list(itertools.product(["linear", "neural"], ["joint_angles", "occluders"]))
+
+
+def fitted(data, kind, features, **options):
+    config = dataclasses.replace(SMALL, kind=kind, features=features, **options)
+    model = train(data, config)
+    everywhere = np.concatenate([data.read("pose"), random_poses(5, 4, seed=9)])
+    assert np.isfinite(model(everywhere)).all()
+    return model
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_one_pose(kind, features):
+    data = memory_dataset(clips=1, per_clip=1)
+    model = fitted(data, kind, features)
+    assert np.allclose(model(data.read("pose")), data.read("visibility"), atol=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_equal_poses(kind, features):
+    """The same pose twice with different visibility: nothing can tell them apart."""
+    poses = np.repeat(random_poses(1, 4), 6, axis=0)
+    data = memory_dataset(poses=poses, clips=2)
+    data.read("visibility")[::2] += 0.5
+    model = fitted(data, kind, features)
+    mean = data.read("visibility", data.training_poses()).mean(axis=0)
+    assert np.allclose(model(poses[:1])[0], mean, atol=1e-4)
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_fewer_poses_than_components(kind, features):
+    model = fitted(memory_dataset(clips=2, per_clip=3), kind, features, latents=50.0)
+    assert model.latents.max() <= 2
+
+
+@pytest.mark.parametrize("level", [0.0, 3.5449])
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_always_lit_or_always_dark(level, kind, features):
+    data = memory_dataset()
+    data.read("visibility")[:] = level
+    model = fitted(data, kind, features)
+    assert np.allclose(model(data.read("pose")), level, atol=1e-6)
+    assert model.latents.sum() == 0
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_one_constant_cluster_among_others(kind, features):
+    data = memory_dataset()
+    data.read("visibility")[:, :15] = 1.0
+    model = fitted(data, kind, features)
+    assert np.allclose(model(data.read("pose"))[:, :5], 1.0, atol=0.2)
+
+
+@pytest.mark.parametrize("kind", ["linear", "neural"])
+def test_no_weight_decay_at_all(kind):
+    fitted(memory_dataset(), kind, "joint_angles", alpha=0.0)
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_far_from_the_training_poses(kind, features):
+    """Joints a hundred times farther apart than ever seen."""
+    data = memory_dataset()
+    model = fitted(data, kind, features)
+    far = data.read("pose", slice(3)).copy()
+    far.reshape(3, 4, 3, 4)[..., 3] *= 100.0
+    assert np.isfinite(model(far)).all()
+
+
+def test_more_clusters_than_receivers():
+    assert len(fitted(memory_dataset(), "linear", "joint_angles", clusters=500).latents) == 60
+
+
+def test_poses_that_are_not_finite_are_refused():
+    data = memory_dataset()
+    model = fitted(data, "linear", "occluders")
+    broken = data.read("pose", slice(1)).copy()
+    broken[0, 7] = np.inf
+    with pytest.raises(PrtnetError, match="not finite"):
+        model(broken)
+
+
+@pytest.mark.parametrize("array", ["pose", "visibility"])
+def test_datasets_that_are_not_finite_are_refused(array):
+    data = memory_dataset()
+    data.read(array)[1].flat[3] = np.nan
+    with pytest.raises(PrtnetError, match="not finite"):
+        train(data, SMALL)

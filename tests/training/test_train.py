@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from prtnet.errors import PrtnetError
+from prtnet.model import VisibilityModel
+from tests.training.data import memory_dataset
+from training.config import PRESETS, TrainConfig
+from training.tensorboard import TensorBoard
+from training.train import Silent, train
+
+SMALL = TrainConfig(
+    clusters=4, neurons=6, latents=4, spheres=12, points=2, near=6, iterations=40, seed=3
+)
+
+
+class Recorder(Silent):
+    def __init__(self):
+        self.stages, self.losses, self.scalars = [], [], {}
+
+    def stage(self, text):
+        self.stages.append(text)
+
+    def progress(self, done, total, loss):
+        self.losses.append((done, total, loss))
+
+    def scalar(self, name, value, step):
+        self.scalars.setdefault(name, []).append((step, value))
+
+
+def test_a_model_beats_its_mean_and_is_reproducible():
+    data = memory_dataset()
+    watch = Recorder()
+    model = train(data, dataclasses.replace(SMALL, features="joint_angles"), watch)
+    rows = data.training_poses()
+    truth = data.read("visibility", rows)
+    error = ((model(data.read("pose", rows)) - truth) ** 2).sum()
+    assert error < 0.5 * ((truth - truth.mean(axis=0)) ** 2).sum()
+    again = train(data, dataclasses.replace(SMALL, features="joint_angles"))
+    assert np.array_equal(again(data.read("pose")), model(data.read("pose")))
+    assert watch.stages[0] == "clusters and components"
+    assert watch.losses[-1][2] <= watch.losses[0][2]
+    assert {"error/training", "error/held_out", "fit/objective_0"} <= set(watch.scalars)
+
+
+def test_networks_are_averaged_into_one():
+    config = dataclasses.replace(SMALL, networks=3, alpha=1e-2)
+    model = train(memory_dataset(), config)
+    assert model.regressor.hidden_bias.shape == (4, 18)
+
+
+def test_constant_kind_predicts_the_training_mean():
+    data = memory_dataset()
+    model = train(data, dataclasses.replace(SMALL, kind="constant"))
+    mean = data.read("visibility", data.training_poses()).mean(axis=0)
+    assert np.allclose(model(data.read("pose", slice(2))), mean, atol=1e-5)
+    assert model.basis.shape[0] == 0
+
+
+def test_metadata_tells_how_it_was_made(tmp_path):
+    data = memory_dataset()
+    data.read("pose").reshape(-1, 4, 12)[:, 2] = 1.0  # of a joint that never moves
+    model = train(data, dataclasses.replace(SMALL, features="joint_angles"))
+    model.save(tmp_path / "m.safetensors")
+    header = VisibilityModel.load(tmp_path / "m.safetensors").metadata
+    assert header["config"]["neurons"] == 6
+    assert len(header["cross_validation"]) >= 2
+    assert header["held_out"] == ["clip2"]
+    assert 0 < header["training_error"]["rms"] < header["held_out_error"]["rms"]
+    assert sum(header["fit_status"].values()) == 4
+    assert set(header["seconds"]) == {"fit", "total"}
+
+
+def test_held_out_clips_change_nothing_but_their_error():
+    data, other = memory_dataset(), memory_dataset()
+    other.read("visibility", other.held_out_poses())  # a copy: change the array itself
+    other.read("visibility")[other.held_out_poses()] *= 7.0
+    other.read("pose")[other.held_out_poses()] += 1.0
+    model, again = train(data, SMALL), train(other, SMALL)
+    poses = data.read("pose", slice(4))
+    assert np.array_equal(model(poses), again(poses))
+    errors = [m.metadata["held_out_error"]["rms"] for m in (model, again)]
+    assert errors[1] > errors[0]
+
+
+def test_tensorboard_holds_scalars_and_histograms(tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    watch = Recorder()
+    with TensorBoard(tmp_path / "log", watch) as board:
+        train(memory_dataset(), SMALL, board)
+    events = EventAccumulator(str(tmp_path / "log"))
+    events.Reload()
+    tags = events.Tags()
+    assert {"error/held_out", "fit/objective_0"} <= set(tags["scalars"])
+    assert "error/held_out_by_receiver" in tags["histograms"]
+    assert [e.value for e in events.Scalars("fit/objective_0")] == pytest.approx(
+        [value for _, value in watch.scalars["fit/objective_0"]], rel=1e-6
+    )
+    assert watch.stages
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"clusters": 0}, "--clusters: must be at least 1"),
+        ({"feature_order": 4}, "--feature-order: must be at most 3"),
+        ({"output_variance": 1.5}, "--output-variance"),
+        ({"alpha": -1.0}, "--alpha: must not be negative"),
+    ],
+)
+def test_impossible_configurations_are_told(options, told):
+    with pytest.raises(PrtnetError, match=told):
+        dataclasses.replace(SMALL, **options)
+
+
+def test_impossible_requests_are_told():
+    with pytest.raises(PrtnetError, match="'no_such_device' cannot be used"):
+        train(memory_dataset(), dataclasses.replace(SMALL, device="no_such_device"))
+    cache = memory_dataset()
+    cache.joint_weights = cache.joint_parents = None
+    with pytest.raises(PrtnetError, match="use joint_angles"):
+        train(cache, dataclasses.replace(SMALL, features="occluders"))
+    empty = memory_dataset()
+    empty.training_poses = lambda: np.array([], dtype=int)
+    with pytest.raises(PrtnetError, match="no training poses"):
+        train(empty, SMALL)
+
+
+def test_presets_are_valid_and_differ():
+    assert {"default", "small", "large", "paper"} == set(PRESETS)
+    assert len({tuple(dataclasses.asdict(p).items()) for p in PRESETS.values()}) == len(PRESETS)
