@@ -366,7 +366,7 @@ def render(argv: Sequence[str]) -> None:
     from prtnet.model import VisibilityModel
     from prtnet.modelled_scene import ModelledScene
     from runtime.camera import Camera
-    from runtime.draw import opened
+    from runtime.draw import opened, usable
     from runtime.draw import render as draw
     from runtime.picture import auto_exposure, comparison, develop, save_png
     from runtime.posed_surface import posed_surface
@@ -382,7 +382,7 @@ def render(argv: Sequence[str]) -> None:
     surface = posed_surface(actor, pose, model(pose)[0])
     camera = Camera.framing(surface.positions, options.size[0] / options.size[1])
     facts = {"out": options.out, "clip": clip.name, "time": time, "size": options.size}
-    with opened(options.renderer) as renderer:
+    with opened(options.renderer or usable(session.console.message)) as renderer:
         linear = draw(renderer, surface, light, camera, options.size)
         if options.compare is None:
             picture = develop(linear, auto_exposure(linear))
@@ -408,27 +408,28 @@ def demo(argv: Sequence[str]) -> None:
 
     from data_gen.gltf_writer import write_glb
     from data_gen.procedural import HELD_OUT, mannequin
-    from runtime.gl import available
 
     write_glb(mannequin(), options.out / "mannequin.glb")
-    for step in demo_steps(options.out, HELD_OUT, "gl" if available() else "cpu"):
+    for step in demo_steps(options.out, HELD_OUT):
         session.console.message(f"\n$ prtnet {shlex.join(step)}")
         dispatch([*step, "--quiet"] if session.console.quiet else step)
-    session.finish({"out": options.out})
+    session.console.message("")
+    onnx, picture = options.out / "export" / "model.onnx", options.out / "frame.png"
+    session.finish({"onnx": onnx, "picture": picture, "errors": options.out / "errors.json"})
 
 
-def demo_steps(out: Path, held_out: Sequence[str], renderer: str) -> list[list[str]]:
+def demo_steps(out: Path, held_out: Sequence[str]) -> list[list[str]]:
     """The command lines of the demonstration."""
     scene, data, model = (str(out / f"mannequin.{kind}") for kind in ("glb", "zarr", "safetensors"))
     holdout, errors = ",".join(held_out), str(out / "errors.json")
     picture = ["--clip", held_out[0], "--compare", "truth", "--out", str(out / "frame.png")]
-    effort = ["--fps", "6", "--rays", "256", "--sample", "60"]
+    effort = ["--fps", "8", "--rays", "256", "--sample", "150"]
     return [
         ["generate", scene, "--out", data, "--holdout", holdout, *effort],
-        ["train", data, "--out", model, "--preset", "small", "--alpha", "0.01"],
-        ["evaluate", model, data, "--json", errors],
+        ["train", data, "--out", model, "--preset", "small"],
         ["export", model, "--out", str(out / "export")],
-        ["render", model, scene, *picture, "--renderer", renderer],
+        ["render", model, scene, *picture],
+        ["evaluate", model, data, "--json", errors],
     ]
 
 

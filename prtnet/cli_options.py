@@ -107,7 +107,7 @@ class RenderOptions:
     size: tuple[int, int] = (640, 640)  # of the picture, in pixels
     compare: Literal["truth"] | None = None  # show the ray-traced truth and the error beside it
     rays: int = 1024  # rays per receiver of the truth
-    renderer: Literal["gl", "cpu"] = "gl"  # OpenGL, or the NumPy reference
+    renderer: Literal["gl", "cpu"] | None = None  # OpenGL or NumPy; OpenGL where there is one
     threads: int | None = None  # CPU threads; all cores when not given
 
     def __post_init__(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Literal, Protocol
 
 import numpy as np
@@ -14,7 +14,7 @@ from runtime.camera import Camera
 from runtime.rasteriser import rasterise
 from runtime.shading import Surface, reflected_light
 
-__all__ = ["Renderer", "RendererName", "opened", "render"]
+__all__ = ["Renderer", "RendererName", "opened", "render", "usable"]
 
 SIDE_LIMIT = 1 << 14  # samples; also what OpenGL and the rasteriser's integers can hold
 SAMPLE_LIMIT = 1 << 26
@@ -66,6 +66,18 @@ def opened(name: str) -> Iterator[Renderer]:
             yield renderer
     else:
         raise PrtnetError("--renderer", f"'{name}' is unknown; {nearest_name(name, ['gl', 'cpu'])}")
+
+
+def usable(say: Callable[[str], None]) -> RendererName:
+    """'gl' where OpenGL works; otherwise 'cpu', and a word about it."""
+    from runtime.gl import available
+
+    if available():
+        return "gl"
+    say(
+        "OpenGL is not available: drawing with NumPy (scripts/system-gl.sh installs what is missing)"
+    )
+    return "cpu"
 
 
 def render(

@@ -244,7 +244,7 @@ def test_misuse_is_one_line(
     assert sorted(work.iterdir()) == before  # nothing is left behind
 
 
-@pytest.mark.parametrize("step", cli.demo_steps(Path("demo"), ["dance"], "cpu"), ids=str)
+@pytest.mark.parametrize("step", cli.demo_steps(Path("demo"), ["dance"]), ids=str)
 def test_steps_of_the_demonstration_parse(
     step: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

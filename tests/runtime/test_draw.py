@@ -7,7 +7,7 @@ import pytest
 
 from prtnet.errors import PrtnetError
 from runtime.camera import Camera
-from runtime.draw import opened, render
+from runtime.draw import opened, render, usable
 from runtime.shading import Surface
 from tests.runtime.scenes import knot, sky, three_quarters
 
@@ -57,3 +57,13 @@ def test_what_cannot_be_drawn_is_said():
             render(renderer, wall(1.0), np.ones((1, 3)), CAMERA, (8_000, 8_000))
         with pytest.raises(ValueError, match="square"):
             render(renderer, wall(1.0), np.ones((1, 3)), CAMERA, (8, 8), samples=3)
+
+
+@pytest.mark.parametrize(("there", "chosen"), [(True, "gl"), (False, "cpu")])
+def test_numpy_draws_where_opengl_does_not(
+    monkeypatch: pytest.MonkeyPatch, there: bool, chosen: str
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("runtime.gl.available", lambda: there)
+    assert usable(said.append) == chosen
+    assert bool(said) is not there
