@@ -74,9 +74,7 @@ def usable(say: Callable[[str], None]) -> RendererName:
 
     if available():
         return "gl"
-    say(
-        "OpenGL is not available: drawing with NumPy (scripts/system-gl.sh installs what is missing)"
-    )
+    say("OpenGL is not available: drawing with NumPy; run scripts/system-gl.sh to install it")
     return "cpu"
 
 

@@ -10,6 +10,7 @@ from prtnet.occluders import fit_spheres
 
 __all__ = ["fit_joint_angles", "fit_occluders", "interior_edges", "moving_joints"]
 
+LIFT = 0.02  # of the scene's largest extent
 STILL = 1e-4  # a joint whose six floats never leave this range does not move
 
 
@@ -53,12 +54,22 @@ def interior_edges(faces: IntArray, welded: IntArray) -> DihedralAngles:
     return DihedralAngles(edge.astype(np.int32))
 
 
-def farthest_points(points: FloatArray, count: int) -> FloatArray:
-    """``count`` of the points (N, 3), spread out: the centroid of each k-means part."""
+def reference_points(
+    positions: FloatArray, normals: FloatArray, count: int, lift: float
+) -> FloatArray:
+    """Points spread over a cluster (N, 3) and lifted off the surface, (count, 3).
+
+    The centroids of k-means parts, each moved by ``lift`` along its part's mean normal; a cluster
+    with fewer distinct receivers repeats some.
+    """
     from sklearn.cluster import KMeans
 
-    count = min(count, len(np.unique(points, axis=0)))
-    return KMeans(count, n_init=2, random_state=0).fit(points).cluster_centers_
+    distinct = min(count, len(np.unique(positions, axis=0)))
+    parts = KMeans(distinct, n_init=2, random_state=0).fit(positions.astype(np.float64))
+    normal = np.zeros((distinct, 3))
+    np.add.at(normal, parts.labels_, normals)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    return (parts.cluster_centers_ + lift * normal)[np.arange(count) % distinct]
 
 
 def fit_occluders(
@@ -76,8 +87,8 @@ def fit_occluders(
 ) -> Occluders:
     """Occluder features for clusters of receivers.
 
-    Reference points are centroids of parts of the cluster, lifted by 2 % of the scene's height
-    along the mean normal. Each cluster keeps the spheres, not on its own joint, that ever cover
+    Reference points are centroids of parts of the cluster, a little off
+    the surface. Each cluster keeps the spheres, not on its own joint, that ever cover
     most of a point's view.
 
     Args:
@@ -96,21 +107,15 @@ def fit_occluders(
     joints = joint_weights.shape[1]
     rest = joint_matrices(rest_pose[None], joints)[0].astype(np.float64)
     fitted = fit_spheres(rest_positions, joint_weights, rest, spheres, seed=seed)
-    height = float(np.ptp(rest_positions[:, 1])) or float(np.ptp(rest_positions)) or 1.0
+    lift = LIFT * float(np.ptp(rest_positions, axis=0).max())
     home = np.zeros(len(slots), dtype=np.int32)
     where = np.zeros((len(slots), points, 3), dtype=np.float32)
     for cluster, own in enumerate(slots):
         own = own[own >= 0]
         home[cluster] = np.argmax(joint_weights[own].sum(axis=0))
-        centres = farthest_points(rest_positions[own].astype(np.float64), points)
-        nearest = np.argmin(((rest_positions[own][:, None] - centres) ** 2).sum(axis=-1), axis=1)
-        for k in range(points):
-            part = own[nearest == k % len(centres)]
-            normal = rest_normals[part].sum(axis=0, dtype=np.float64)
-            normal /= np.linalg.norm(normal) or 1.0
-            lifted = centres[k % len(centres)] + 0.02 * height * normal
-            linear, offset = rest[home[cluster], :, :3], rest[home[cluster], :, 3]
-            where[cluster, k] = np.linalg.pinv(linear) @ (lifted - offset)
+        seen = reference_points(rest_positions[own], rest_normals[own], points, lift)
+        linear, offset = rest[home[cluster], :, :3], rest[home[cluster], :, 3]
+        where[cluster] = (seen - offset) @ np.linalg.pinv(linear).T
     candidates = np.broadcast_to(np.arange(len(fitted), dtype=np.int32), (len(slots), len(fitted)))
     every = Occluders(fitted, home, where, candidates, order, joints)
     return Occluders(fitted, home, where, nearest_spheres(every, poses, near), order, joints)
