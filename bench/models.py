@@ -33,7 +33,7 @@ def row(name: str, data: Dataset, config: TrainConfig) -> list[str]:
     print(f"{name}: trained in {time.perf_counter() - started:.0f} s", flush=True)
     proto = build_onnx(model).SerializeToString()
     predict = OnnxModel(proto, threads=2)
-    blocks = dataset_truth(data, data.held_out)
+    blocks = dataset_truth(model, data, data.held_out)
     result = evaluate(model, predict, blocks, NearestPose(data))
     milliseconds = predict.milliseconds(data.read("pose", slice(1)), repeats=300)
     return [
@@ -57,7 +57,7 @@ class ClipsOnly(Dataset):
 def robot() -> None:
     """Ten training clips, four held out, 16 clusters."""
     data = dataset("robot", "robot.glb", ROBOT)
-    base = dataclasses.replace(PRESETS["default"], clusters=16, latents=60)
+    base = dataclasses.replace(PRESETS["default"], clusters=16)
     papers = dataclasses.replace(base, features="joint_angles", input_variance=0.9)
     rows = [
         row("linear, joint angles", data, dataclasses.replace(papers, kind="linear")),

@@ -288,7 +288,7 @@ def dataset_truth(options: EvaluateOptions, model: VisibilityModel, predict: Onn
         )
     clips = chosen(options, [name for name in dataset.clip_names if name != SAMPLED])
     return Truth(
-        evaluation.dataset_truth(dataset, clips),
+        evaluation.dataset_truth(model, dataset, clips),
         sum(len(dataset.poses_of(clip)) for clip in clips),
         dataset.read("pose", slice(1)),
         evaluation.NearestPose(dataset),

@@ -127,10 +127,10 @@ class StageMonitor:
         self._stage, self._counted = text, False
         self._report(text, 0, 0)
 
-    def progress(self, done: int, total: int, loss: float) -> None:  # noqa: ARG002
+    def progress(self, done: int, total: int, loss: float) -> None:
         """Steps done of the present stage."""
         self._counted = True
-        self._report(self._stage, done, total)
+        self._report(self._stage, done, total, f"loss {loss:.4f}")
 
     def scalar(self, name: str, value: float, step: int) -> None:
         """Not shown."""

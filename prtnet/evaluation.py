@@ -38,14 +38,19 @@ class TruthBlock:
     visibility: FloatArray
 
 
-def dataset_truth(dataset: Dataset, clips: Iterable[str], block: int = 8) -> Iterator[TruthBlock]:
-    """The poses of some clips of a dataset, block by block."""
+def dataset_truth(
+    model: VisibilityModel, dataset: Dataset, clips: Iterable[str], block: int = 8
+) -> Iterator[TruthBlock]:
+    """The poses of some clips of a dataset, block by block.
+
+    What is held out is the model's to say: its own dataset may have held out other clips.
+    """
     for name in clips:
         rows = dataset.poses_of(name)
         for start in range(0, len(rows), block):
             own = rows[start : start + block]
             poses, truth = dataset.read("pose", own), dataset.read("visibility", own)
-            yield TruthBlock(name, name in dataset.held_out, poses, truth)
+            yield TruthBlock(name, name not in model.training_clips, poses, truth)
 
 
 class NearestPose:

@@ -99,6 +99,13 @@ class VisibilityModel:
         return int(self.metadata["pose_size"])
 
     @property
+    def training_clips(self) -> frozenset[str]:
+        """Names of the clips that training saw."""
+        return frozenset(self.metadata.get("clips", ())) - frozenset(
+            self.metadata.get("held_out", ())
+        )
+
+    @property
     def slot_of_receiver(self) -> IntArray:
         """Where each receiver sits in the flattened (C · R) slots, (V,)."""
         flat = self.receivers.ravel()
@@ -246,6 +253,19 @@ def check_shapes(model: VisibilityModel) -> None:
     flat = np.sort(model.receivers[model.receivers >= 0])
     if not np.array_equal(flat, np.arange(model.receiver_count)):
         raise ValueError("receivers are not each in exactly one slot")
-    for name in ARRAYS:
-        if not np.isfinite(getattr(model, name)).all():
+    width = int(model.latents.max(initial=0))
+    inner = model.input_basis.shape[2]
+    if model.regressor.hidden_weight is not None:
+        neurons = model.regressor.weight.shape[1]
+        if model.regressor.hidden_weight.shape != (clusters, inner, neurons):
+            raise ValueError("regressor.hidden_weight does not fit the inputs and neurons")
+        inner = neurons
+    if model.regressor.weight.shape[:2] != (clusters, inner) or (
+        model.regressor.weight.shape[2] < width
+    ):
+        raise ValueError("regressor.weight does not fit the clusters, inputs and latents")
+    every = {name: getattr(model, name) for name in ARRAYS}
+    every |= model.regressor.arrays() | model.features.arrays()
+    for name, array in every.items():
+        if not np.isfinite(array).all():
             raise ValueError(f"{name} holds values that are not finite")

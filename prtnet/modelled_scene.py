@@ -55,8 +55,7 @@ class ModelledScene:
     @cached_property
     def training_clips(self) -> frozenset[str]:
         """Names of the clips that training saw."""
-        metadata = self.model.metadata
-        return frozenset(metadata.get("clips", ())) - frozenset(metadata.get("held_out", ()))
+        return self.model.training_clips
 
     def geometry(self, poses: FloatArray) -> Geometry:
         """Positions and normals of receivers (P, V, 3) of flattened poses (P, D)."""

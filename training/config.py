@@ -56,15 +56,17 @@ class TrainConfig:
         least = {"clusters": 1, "neurons": 1, "networks": 1, "inputs": 1, "iterations": 1}
         least |= {"spheres": 1, "points": 1, "near": 1, "feature_order": 1, "latents": 0}
         for name, bound in least.items():
-            if getattr(self, name) < bound:
+            if not getattr(self, name) >= bound:  # so that NaN fails
                 raise PrtnetError(f"--{name.replace('_', '-')}", f"must be at least {bound}")
         if self.feature_order > Occluders.MOST_ORDER:
             raise PrtnetError("--feature-order", f"must be at most {Occluders.MOST_ORDER}")
         for name in ("output_variance", "input_variance"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise PrtnetError(f"--{name.replace('_', '-')}", "must be above 0 and at most 1")
-        if self.alpha is not None and self.alpha < 0:
-            raise PrtnetError("--alpha", "must not be negative")
+        if self.alpha is not None and not 0 <= self.alpha < float("inf"):
+            raise PrtnetError("--alpha", "must be a finite number, at least 0")
+        if not 0 <= self.seed < 2**32:
+            raise PrtnetError("--seed", "must be at least 0 and below 2^32")
 
 
 PRESETS: dict[str, TrainConfig] = {

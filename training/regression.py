@@ -19,7 +19,7 @@ from training.lbfgs import Objective, minimise
 
 __all__ = ["Fit", "average", "fit_linear", "fit_neural"]
 
-JITTER = 1e-12  # of the mean diagonal: keeps α = 0 with dependent columns solvable
+JITTER = 30.0  # roundings of the mean diagonal: keeps α = 0 with dependent columns solvable
 
 
 @dataclass(frozen=True)
@@ -82,16 +82,22 @@ def target_scale(targets: Tensor) -> Tensor:
 def ridge(x: Tensor, targets: Tensor, alpha: float) -> Tensor:
     """Weights and, in the last row, the bias: (C, K + 1, L) for x (C, P, K), targets (C, P, L).
 
-    Minimises mean_i ‖x W + b − t‖² + α ‖W‖²; rank-deficient systems get the jitter.
+    Minimises mean_i ‖x W + b − t‖² + α ‖W‖². The normal equations are solved in float64, with as
+    much added to their diagonal as the rounding of their entries asks for.
     """
     full = with_ones(x)
     gram = full.mT @ full / x.shape[1]
     diagonal = torch.full_like(gram[:, 0], alpha)
     diagonal[:, -1] = 0.0
     mean_diagonal = gram.diagonal(dim1=-2, dim2=-1).mean(-1, keepdim=True)
-    gram = gram + torch.diag_embed(diagonal + JITTER * mean_diagonal)
-    factor, _ = torch.linalg.cholesky_ex(gram)
-    return torch.cholesky_solve(full.mT @ targets / x.shape[1], factor)
+    rounding = JITTER * torch.finfo(x.dtype).eps * mean_diagonal
+    right = (full.mT @ targets / x.shape[1]).double()
+    for growth in (1.0, 1e2, 1e4):
+        system = (gram + torch.diag_embed(diagonal + growth * rounding)).double()
+        factor, failed = torch.linalg.cholesky_ex(system)
+        if not failed.any():
+            break
+    return torch.cholesky_solve(right, factor).to(x.dtype)
 
 
 def fit_linear(inputs: Tensor, targets: Tensor, alpha: float) -> Fit:

@@ -96,6 +96,13 @@ def rewrite(path, change_header=None, change_arrays=None):
         (None, lambda a: a.update(basis=a["basis"][1:]), "basis has shape"),
         (None, lambda a: a["mean"].fill(np.nan), "not finite"),
         (None, lambda a: a["receivers"].fill(0), "exactly one slot"),
+        (None, lambda a: a["regressor.weight"].fill(np.inf), "weight holds values"),
+        (None, lambda a: a["features.point"].fill(np.nan), "point holds values"),
+        (
+            None,
+            lambda a: a.update({"regressor.weight": a["regressor.weight"][:, 1:]}),
+            "does not fit",
+        ),
     ],
 )
 def test_damaged_models_are_told(header, arrays, told, tmp_path):

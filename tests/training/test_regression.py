@@ -91,3 +91,21 @@ def test_average_of_networks_is_one_network():
     assert torch.allclose(joined(x), mean, atol=1e-10)
     with pytest.raises(ValueError, match="only networks"):
         average([fit_linear(x, t, 0.1)] * 2)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("poses", [6, 60])
+def test_no_weight_decay_and_dependent_columns(dtype, poses):
+    """More inputs than poses, or inputs twice over: of many solutions a sane one is found."""
+    x, t = problem(poses=poses, inputs=5, dtype=dtype)
+    x = torch.cat([x, x, x[..., :1] + x[..., 1:2]], dim=-1)
+    linear = fit_linear(x, t, 0.0)
+    assert linear.weight.abs().max() < 100.0
+    signal = (t - t.mean(1, keepdim=True)).square().sum()
+    if poses == 6:  # enough freedom to pass through all of them
+        assert (linear(x) - t).square().sum() < 1e-3 * signal
+    else:
+        assert (linear(x) - t).square().sum() < 0.9 * signal
+    neural = fit_neural(x, t, 8, 0.0, iterations=30)
+    assert torch.isfinite(neural(x)).all()
+    assert (neural(x) - t).square().sum() < 0.9 * signal

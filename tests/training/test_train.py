@@ -109,7 +109,10 @@ def test_tensorboard_holds_scalars_and_histograms(tmp_path):
         ({"clusters": 0}, "--clusters: must be at least 1"),
         ({"feature_order": 4}, "--feature-order: must be at most 3"),
         ({"output_variance": 1.5}, "--output-variance"),
-        ({"alpha": -1.0}, "--alpha: must not be negative"),
+        ({"alpha": -1.0}, "--alpha: must be a finite number"),
+        ({"alpha": float("nan")}, "--alpha: must be a finite number"),
+        ({"latents": float("nan")}, "--latents: must be at least 0"),
+        ({"seed": -1}, "--seed: must be at least 0"),
     ],
 )
 def test_impossible_configurations_are_told(options, told):
