@@ -1,6 +1,6 @@
 """Held-out error, size and speed of models of the robot and the human.
 
-python bench/models.py robot|human [--write]
+python bench/models.py [robot|human] [--write]
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import time
 
 import numpy as np
 import torch
-from tables import HUMAN, ROBOT, dataset, per_cent, publish
+from tables import HUMAN, OUT, ROBOT, dataset, per_cent, publish
 
 from prtnet.arrays import IntArray
 from prtnet.dataset import SAMPLED, Dataset
@@ -31,6 +31,7 @@ def row(name: str, data: Dataset, config: TrainConfig) -> list[str]:
     started = time.perf_counter()
     model = train(data, config)
     print(f"{name}: trained in {time.perf_counter() - started:.0f} s", flush=True)
+    model.save(OUT / f"{data.scene_name} {name.replace(':', ',')}.safetensors")
     proto = build_onnx(model).SerializeToString()
     predict = OnnxModel(proto, threads=2)
     blocks = dataset_truth(model, data, data.held_out)
@@ -72,7 +73,6 @@ def human() -> None:
     """RangeOfMotion and Walk, Playground_A held out; with and without sampled poses."""
     base = PRESETS["default"]
     papers = dataclasses.replace(base, features="joint_angles", input_variance=0.9)
-    large = PRESETS["large"]
     sampled = dataset("human", "human.glb", HUMAN)
     rows = []
     for name, data in (
@@ -83,10 +83,18 @@ def human() -> None:
             for seen, config in (("joint angles", papers), ("occluders", base)):
                 chosen = dataclasses.replace(config, kind=kind)
                 rows.append(row(f"{name}: {kind}, {seen}", data, chosen))
-    rows.append(row("clips and 600 sampled poses: preset large", sampled, large))
+    wider = dataclasses.replace(base, latents=14)
+    for name, config in (
+        ("neural, occluders, 14 latents", wider),
+        ("preset small", PRESETS["small"]),
+        ("preset large", PRESETS["large"]),
+    ):
+        rows.append(row(f"clips and 600 sampled poses: {name}", sampled, config))
     publish("human", COLUMNS, rows)
 
 
 if __name__ == "__main__":
     torch.set_num_threads(2)
-    {"robot": robot, "human": human}[sys.argv[1]]()
+    chosen = [name for name in ("robot", "human") if name in sys.argv] or ["robot", "human"]
+    for name in chosen:
+        {"robot": robot, "human": human}[name]()

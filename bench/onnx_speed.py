@@ -5,19 +5,22 @@ python bench/onnx_speed.py [--write]
 
 from __future__ import annotations
 
-import dataclasses
+import sys
 import threading
 import time
 
 import numpy as np
-import torch
 from tables import HUMAN, OUT, dataset, publish
 
 from prtnet.model import VisibilityModel
 from runtime.onnx_model import OnnxModel
-from training.config import PRESETS
 from training.onnx_export import build_onnx
-from training.train import train
+
+MODELS = {
+    "clips and 600 sampled poses, neural, occluders": "preset default, neural on occluders",
+    "clips and 600 sampled poses, neural, occluders, 14 latents": "the same with 14 latents",
+    "clips and 600 sampled poses, preset small": "preset small",
+}
 
 
 def read_milliseconds(size: int, threads: int, repeats: int = 200) -> float:
@@ -44,21 +47,20 @@ def read_milliseconds(size: int, threads: int, repeats: int = 200) -> float:
 
 def main() -> None:
     """One pose, full SH visibility of 13,380 receivers, features computed in the graph."""
-    torch.set_num_threads(2)
     data = dataset("human", "human.glb", HUMAN)
     pose = data.read("pose", slice(1))
     rows = []
-    for name in ("default", "small"):
-        path = OUT / f"human_{name}.safetensors"
+    for name, label in MODELS.items():
+        path = OUT / f"human {name}.safetensors"
         if not path.exists():
-            train(data, dataclasses.replace(PRESETS[name], alpha=1e-2)).save(path)
+            sys.exit(f"{path} is not there: run bench/models.py human first")
         proto = build_onnx(VisibilityModel.load(path)).SerializeToString()
         for threads in (1, 2):
             model = OnnxModel(proto, threads)
             taken = [model.milliseconds(pose, repeats=400) for _ in range(5)]
             rows.append(
                 [
-                    f"preset {name}, {threads} thread{'s' * (threads > 1)}",
+                    f"{label}, {threads} thread{'s' * (threads > 1)}",
                     f"{len(proto) / 1e6:.1f}",
                     f"{np.median(taken):.3f}",
                     f"{min(taken):.3f}",

@@ -32,14 +32,15 @@ def scene_path(name: str) -> Path:
     """A sample scene; the script ends with a word where it is absent."""
     path = SCENES / name
     if not path.exists():
-        sys.exit(f"{path} is absent: nothing measured")
+        print(f"{path} is absent: nothing measured")
+        sys.exit(0)
     return path
 
 
 def dataset(name: str, scene: str, config: GenerateConfig) -> Dataset:
     """The named dataset under bench/out, made when it is not there."""
     path = OUT / f"{name}.zarr"
-    if not path.exists():
+    if not path.exists() or not made_with(Dataset.open(path), config):
         OUT.mkdir(parents=True, exist_ok=True)
         source = read_scene(scene_path(scene))
         generate(
@@ -47,6 +48,16 @@ def dataset(name: str, scene: str, config: GenerateConfig) -> Dataset:
         )
         print()
     return Dataset.open(path)
+
+
+def made_with(data: Dataset, config: GenerateConfig) -> bool:
+    """Whether a dataset was generated with these options."""
+    wanted = {
+        "order": config.order, "rays": config.rays, "sample": config.sample, "seed": config.seed,
+        "margin": config.margin, "fps": config.rate, "count": config.count,
+        "held_out": list(config.holdout),
+    }  # fmt: skip
+    return all(data.attributes.get(name) == value for name, value in wanted.items())
 
 
 def machine() -> str:

@@ -123,7 +123,7 @@ class Occluders(Features):
 
     For each of a cluster's reference points, the sum over the cluster's spheres of the cap's SH.
     It ignores global motion and everything far away, and is nearly linear in what visibility does.
-    Morph weights follow, the same for every cluster. Joints may be scaled, each by one factor.
+    Morph weights follow, the same for every cluster. Joints may be scaled, by one factor each.
 
     Attributes:
         spheres: the occluders.
@@ -132,6 +132,8 @@ class Occluders(Features):
         near: the spheres that matter to each cluster, (C, K).
         order: of the spherical harmonics, at most ``MOST_ORDER``; (M · order²) features a cluster.
         joints: number of joints in a pose.
+        one_scale: whether all joints of a pose have the same scale, so that a radius in the units
+            of its own joint is one in everybody's.
     """
 
     kind: ClassVar[str] = "occluders"
@@ -142,6 +144,7 @@ class Occluders(Features):
     near: IntArray
     order: int
     joints: int
+    one_scale: bool = False
 
     def __call__(self, poses: FloatArray) -> FloatArray:
         """See :class:`Features`."""
@@ -175,14 +178,16 @@ class Occluders(Features):
         linear, offset = matrices[..., :3], matrices[..., 3]
         ridden = self.spheres.joint
         centre = (linear[:, ridden] @ self.spheres.centre[..., None])[..., 0] + offset[:, ridden]
-        radius = self.spheres.radius * np.linalg.norm(linear[..., 0][:, ridden], axis=-1)  # [P, S]
         home, home_offset = linear[:, self.cluster_joint], offset[:, self.cluster_joint]
         square = np.maximum(np.sum(home * home, axis=-2, keepdims=True), SMALLEST)
         away = centre[:, self.near] - home_offset[:, :, None]  # [P, C, K, 3]
         local = (away @ (home / square))[:, :, None] - self.point[:, :, None]  # [P, C, M, K, 3]
         distance2 = np.maximum(np.sum(local * local, axis=-1), SMALLEST)
-        own_radius2 = (radius**2)[:, self.near] / square[:, :, 0, :1]  # [P, C, K]
-        sine2 = np.minimum(own_radius2[:, :, None] / distance2, 1.0)
+        radius2 = (self.spheres.radius.astype(np.float64) ** 2)[self.near][None]  # [1, C, K]
+        if not self.one_scale:
+            scale2 = np.sum(linear[..., 0] ** 2, axis=-1)  # [P, J]
+            radius2 = radius2 * scale2[:, ridden[self.near]] / square[:, :, 0, :1]
+        sine2 = np.minimum(radius2[:, :, None] / distance2, 1.0)
         return np.sqrt(1.0 - sine2), local / np.sqrt(distance2)[..., None]
 
     def arrays(self) -> dict[str, FloatArray | IntArray]:
@@ -196,6 +201,7 @@ class Occluders(Features):
             "near": self.near,
             "order": np.array([self.order]),
             "joints": np.array([self.joints]),
+            "one_scale": np.array([int(self.one_scale)]),
         }
 
 
@@ -212,8 +218,8 @@ def features_from_arrays(kind: str, arrays: dict[str, Any]) -> Features:
         return JointAngles(arrays["joint"], arrays["parent"], joints)
     if kind == Occluders.kind:
         spheres = Spheres(arrays["sphere_joint"], arrays["sphere_centre"], arrays["sphere_radius"])
-        order = int(arrays["order"][0])
         return Occluders(
-            spheres, arrays["cluster_joint"], arrays["point"], arrays["near"], order, joints
-        )
+            spheres, arrays["cluster_joint"], arrays["point"], arrays["near"],
+            int(arrays["order"][0]), joints, bool(arrays["one_scale"][0]),
+        )  # fmt: skip
     raise KeyError(kind)

@@ -10,11 +10,16 @@ from prtnet.model import Regressor, VisibilityModel
 from prtnet.occluders import Spheres
 
 
-def random_poses(count: int, joints: int, morphs: int = 0, seed: int = 0) -> np.ndarray:
-    """Poses of joints scattered in a two-metre box, all turned and scaled at random."""
+def random_poses(
+    count: int, joints: int, morphs: int = 0, seed: int = 0, one_scale: bool = False
+) -> np.ndarray:
+    """Poses of joints scattered in a two-metre box, all turned and scaled at random.
+
+    With ``one_scale`` all joints of a pose are scaled alike.
+    """
     rng = np.random.default_rng(seed)
     rotation = Rotation.random(count * joints, rng=rng).as_matrix().reshape(count, joints, 3, 3)
-    scale = rng.uniform(0.5, 2.0, (count, joints, 1, 1))
+    scale = rng.uniform(0.5, 2.0, (count, 1 if one_scale else joints, 1, 1))
     offset = rng.uniform(-1.0, 1.0, (count, joints, 3, 1))
     matrices = np.concatenate([rotation * scale, offset], axis=-1).reshape(count, -1)
     weights = rng.uniform(0.0, 1.0, (count, morphs))
@@ -42,6 +47,7 @@ def random_features(kind: str, joints: int, clusters: int, order: int, seed: int
         rng.integers(0, 11, (clusters, 7)).astype(np.int32),
         order,
         joints,
+        bool(seed % 2),
     )
 
 

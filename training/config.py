@@ -28,7 +28,7 @@ class TrainConfig:
     """Networks fitted from different starts and averaged into one of networks × neurons."""
     output_variance: float = 0.99
     """Fraction of the visibility's variance that the output components keep."""
-    latents: float = 14.0
+    latents: float = 10.0
     """At most so many output components a cluster, on average."""
     input_variance: float = 0.999
     """Fraction of the features' variance that the input components keep."""

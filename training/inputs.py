@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
@@ -10,6 +12,7 @@ from prtnet.occluders import fit_spheres
 
 __all__ = ["fit_joint_angles", "fit_occluders", "interior_edges", "moving_joints"]
 
+SAME_SCALE = 1e-3  # relative
 LIFT = 0.02  # of the scene's largest extent
 STILL = 1e-4  # a joint whose six floats never leave this range does not move
 
@@ -117,8 +120,17 @@ def fit_occluders(
         linear, offset = rest[home[cluster], :, :3], rest[home[cluster], :, 3]
         where[cluster] = (seen - offset) @ np.linalg.pinv(linear).T
     candidates = np.broadcast_to(np.arange(len(fitted), dtype=np.int32), (len(slots), len(fitted)))
-    every = Occluders(fitted, home, where, candidates, order, joints)
-    return Occluders(fitted, home, where, nearest_spheres(every, poses, near), order, joints)
+    one_scale = same_scale(poses, joints)
+    every = Occluders(fitted, home, where, candidates, order, joints, one_scale)
+    return dataclasses.replace(every, near=nearest_spheres(every, poses, near))
+
+
+def same_scale(poses: FloatArray, joints: int) -> bool:
+    """Whether all joints of each flattened pose (P, D) are scaled alike, as in most rigs."""
+    lengths = np.linalg.norm(joint_matrices(poses, joints)[..., :3], axis=-2).reshape(
+        len(poses), -1
+    )
+    return bool((np.ptp(lengths, axis=1) <= SAME_SCALE * lengths.max(axis=1)).all())
 
 
 def nearest_spheres(every: Occluders, poses: FloatArray, near: int) -> IntArray:

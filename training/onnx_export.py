@@ -90,29 +90,32 @@ def near_nodes(graph: GraphBuilder, features: Occluders) -> tuple[str, str]:
         Centres, components leading (P, C, 3, K), and squared radii (P, C, 1, K), in joint units.
     """
     matrices = joint_matrices(graph, features.joints)
-    rides = graph.constant(features.spheres.joint)
+    rides, near = graph.constant(features.spheres.joint), graph.constant(features.near)
     centre = np.concatenate([features.spheres.centre, np.ones((len(features.spheres), 1))], 1)
     riding = graph.node("Gather", matrices, rides, axis=1)  # [P, S, 3, 4]
     centres = graph.total(graph.node("Mul", riding, graph.constant(centre[:, None])), 3)
-    column = graph.slice(matrices, 0, 1, 3)
-    scale2 = graph.total(graph.node("Mul", column, column), 2)  # [P, J, 1]
-    radius2 = graph.constant(features.spheres.radius.astype(np.float64)[:, None] ** 2)
-    radii2 = graph.node("Mul", graph.node("Gather", scale2, rides, axis=1), radius2)
     home = graph.node("Gather", matrices, graph.constant(features.cluster_joint), axis=1)
     linear, offset = graph.slice(home, 0, 3, 3), graph.slice(home, 3, 4, 3)
-    square = squared_columns(graph, linear)  # [P, C, 1, 3]
+    radius2 = features.spheres.radius.astype(np.float64) ** 2
+    if features.one_scale:
+        square = squared_columns(graph, graph.slice(graph.slice(linear, 0, 1, 1), 0, 1, 3))
+        own = graph.constant(radius2[features.near][:, None])
+    else:
+        square = squared_columns(graph, linear)  # [P, C, 1, 3]
+        column = graph.slice(matrices, 0, 1, 3)
+        scale2 = graph.total(graph.node("Mul", column, column), 2)  # [P, J, 1]
+        radii2 = graph.node("Gather", scale2, rides, axis=1)
+        radii2 = graph.node("Mul", radii2, graph.constant(radius2[:, None]))
+        own = graph.node("Gather", radii2, near, axis=1)
+        own = graph.reshape(own, [-1, len(features.near), 1, features.near.shape[1]])
+        own = graph.node("Div", own, graph.slice(square, 0, 1, 3))
     inverse = graph.node("Transpose", graph.node("Div", linear, square), perm=[0, 1, 3, 2])
     origin = features.point.mean(axis=1)[..., None]
     shift = graph.node("Add", graph.node("MatMul", inverse, offset), graph.constant(origin))
-    near = graph.constant(features.near)
-    rows = graph.node("Gather", centres, near, axis=1)  # [P, C, K, 3]
-    columns = graph.node("Transpose", rows, perm=[0, 1, 3, 2])
-    local = graph.node("Sub", graph.node("MatMul", inverse, columns), shift)
-    own = graph.reshape(
-        graph.node("Gather", radii2, near, axis=1),
-        [-1, len(features.near), 1, features.near.shape[1]],
+    columns = graph.node(
+        "Transpose", graph.node("Gather", centres, near, axis=1), perm=[0, 1, 3, 2]
     )
-    return local, graph.node("Div", own, graph.slice(square, 0, 1, 3))
+    return graph.node("Sub", graph.node("MatMul", inverse, columns), shift), own
 
 
 QUADRATIC = np.triu_indices(3)  # x², xy, xz, y², yz, z²
@@ -189,11 +192,10 @@ def occluder_nodes(graph: GraphBuilder, features: Occluders) -> str:
         if degree == 1:
             bands.append(graph.node("Sub", sums, graph.node("Mul", total, graph.constant(point))))
             continue
-        moments = graph.reshape(
-            graph.node("Concat", total, sums, axis=3), [-1, clusters, points, 1, 10]
-        )
-        quadratic = graph.node("MatMul", moments, graph.constant(recentred(point)))
-        bands.append(graph.reshape(quadratic, [-1, clusters, points, 5]))
+        moments = graph.node("Concat", total, sums, axis=3)
+        moments = graph.reshape(moments, [-1, clusters, points, 1, 10])
+        weighed = graph.node("Mul", moments, graph.constant(recentred(point).swapaxes(2, 3)))
+        bands.append(graph.total(weighed, 4))
     every = graph.node("Concat", *bands, axis=3) if len(bands) > 1 else bands[0]
     return graph.reshape(every, [-1, clusters, points * features.order**2])
 

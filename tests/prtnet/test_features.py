@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -140,3 +142,11 @@ def test_arrays_round_trip(kind):
     assert np.array_equal(features(poses), again(poses))
     with pytest.raises(KeyError):
         features_from_arrays("palm_reading", features.arrays())
+
+
+def test_one_scale_is_exact_where_all_joints_are_scaled_alike():
+    features = random_features("occluders", joints=4, clusters=3, order=3)
+    poses = random_poses(3, 4, one_scale=True)
+    simpler = dataclasses.replace(features, one_scale=True)
+    assert np.allclose(features(poses), simpler(poses), atol=1e-5)
+    assert not np.allclose(features(random_poses(3, 4)), simpler(random_poses(3, 4)), atol=1e-2)

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from tests.models import random_poses
-from training.inputs import fit_joint_angles, fit_occluders, interior_edges, moving_joints
+from training.inputs import (
+    fit_joint_angles,
+    fit_occluders,
+    interior_edges,
+    moving_joints,
+    same_scale,
+)
 
 
 def test_interior_edges_of_a_strip():
@@ -69,3 +75,8 @@ def test_nearest_occluders_come_first():
     )  # fmt: skip
     centre = features.spheres.centre[features.near[0, 0]]
     assert abs(centre[0] - 0.6) < 0.2
+
+
+def test_rigs_that_scale_their_joints_apart_are_noticed():
+    assert same_scale(random_poses(4, 3, one_scale=True), 3)
+    assert not same_scale(random_poses(4, 3), 3)
