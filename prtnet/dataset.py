@@ -332,8 +332,8 @@ class DatasetWriter:
     def finish(self) -> Path:
         """Put the dataset under its final name, replacing what stood there."""
         with self._disk():
-            remove(self._markers)
             finish(self.partial, self.path)
+            remove(self.path / MARKERS)  # last: until then a killed run must find its blocks
         return self.path
 
     def _marker(self, block: int) -> Path:

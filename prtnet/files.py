@@ -29,10 +29,25 @@ def remove(path: Path) -> None:
 
 
 def finish(partial: Path, final: Path) -> None:
-    """Put a whole file or folder under its final name, replacing what stood there."""
-    if final.is_dir() or partial.is_dir():
-        remove(final)  # os.replace cannot replace a folder that is not empty
-    os.replace(partial, final)
+    """Put a whole file or folder under its final name, replacing what stood there.
+
+    Neither is ever deleted before the other is in place. A process killed between the two renames
+    leaves both, under hidden names.
+    """
+    if not (final.is_dir() or partial.is_dir()):
+        os.replace(partial, final)
+        return
+    aside = final.with_name(f".{final.name}.replaced")  # a folder cannot be renamed over
+    if os.path.lexists(final):
+        remove(aside)
+        os.replace(final, aside)
+    try:
+        os.replace(partial, final)
+    except BaseException:
+        if aside.exists():
+            os.replace(aside, final)
+        raise
+    remove(aside)
 
 
 @contextlib.contextmanager

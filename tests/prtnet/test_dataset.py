@@ -1,14 +1,25 @@
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zarr
 
-from prtnet.dataset import FORMAT_VERSION, POSE_ARRAYS, SAMPLED, Block, Dataset, DatasetWriter
+from prtnet.dataset import (
+    FORMAT_VERSION,
+    MARKERS,
+    POSE_ARRAYS,
+    SAMPLED,
+    Block,
+    Dataset,
+    DatasetWriter,
+)
 from prtnet.errors import PrtnetError
 
 POSES, RECEIVERS, ORDER, JOINTS, BLOCK = 10, 6, 2, 2, 4
@@ -70,8 +81,8 @@ def writer(path: Path, **attributes: object) -> DatasetWriter:
     return DatasetWriter(path, {**ATTRIBUTES, **attributes}, fixed(), POSES, BLOCK)
 
 
-def write(path: Path) -> Dataset:
-    book = writer(path)
+def write(path: Path, **attributes: object) -> Dataset:
+    book = writer(path, **attributes)
     for block in book.missing():
         book.write(block, part(whole(), book.span(block)))
     book.finish()
@@ -160,6 +171,45 @@ def test_a_new_dataset_replaces_the_old(tmp_path: Path) -> None:
     write(tmp_path / "set.zarr")
     shutil.rmtree(tmp_path / "set.zarr" / "visibility")
     assert len(write(tmp_path / "set.zarr")) == POSES
+
+
+class Killed(BaseException):
+    """No error: the process is gone."""
+
+
+@pytest.mark.parametrize("old", [False, True])
+@pytest.mark.parametrize("survived", range(5))
+def test_a_run_killed_while_it_finishes_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, survived: int, old: bool
+) -> None:
+    """After so many renames and deletions nothing happens any more, not even in handlers."""
+    path = tmp_path / "set.zarr"
+    if old:
+        write(path, rays=1)
+    book = writer(path)
+    for block in book.missing():
+        book.write(block, part(whole(), book.span(block)))
+    left = iter(range(survived))
+
+    def mortal(step: Callable[..., None]) -> Callable[..., None]:
+        def tried(*arguments: Path) -> None:
+            if next(left, None) is None:
+                raise Killed
+            step(*arguments)
+
+        return tried
+
+    with monkeypatch.context() as patch, contextlib.suppress(Killed):
+        patch.setattr("prtnet.files.os.replace", mortal(os.replace))
+        patch.setattr("prtnet.files.shutil.rmtree", mortal(shutil.rmtree))
+        book.finish()
+    placed = path.exists() and Dataset.open(path).rays == ATTRIBUTES["rays"]
+    kept = {Dataset.open(folder).rays for folder in tmp_path.iterdir()}
+    assert placed or not old or 1 in kept
+    assert placed or writer(path).missing() == []
+    assert write(path).rays == ATTRIBUTES["rays"]  # and the same command line mends it all
+    assert [folder.name for folder in tmp_path.iterdir()] == ["set.zarr"]
+    assert not (path / MARKERS).exists()
 
 
 def complaint(path: Path) -> str:

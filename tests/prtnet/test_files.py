@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,27 @@ def test_folder_replaces_folder(tmp_path: Path) -> None:
         partial.mkdir()
         (partial / "fresh").write_text("y")
     assert [path.name for path in final.iterdir()] == ["fresh"]
+
+
+def test_old_folder_survives_a_failed_rename(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    final, partial = tmp_path / "a", tmp_path / "b"
+    for folder in (final, partial):
+        folder.mkdir()
+        (folder / folder.name).touch()
+    rename = os.replace
+
+    def full(source: Path, target: Path) -> None:
+        if source == partial:
+            raise OSError(28, "No space left on device")
+        rename(source, target)
+
+    monkeypatch.setattr("prtnet.files.os.replace", full)
+    with pytest.raises(OSError, match="No space"):
+        finish(partial, final)
+    assert (final / "a").exists()
+    assert (partial / "b").exists()
 
 
 def test_missing_folder_is_one_line(tmp_path: Path) -> None:
