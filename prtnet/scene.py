@@ -434,10 +434,10 @@ class PointCacheScene(Scene):
         return self.geometry(self.frames[:1].reshape(1, -1))
 
     def _vertex_keys(self) -> tuple[FloatArray, ...]:
-        # A vertex is welded only with one of equal motion *and* equal normal: the normals come
-        # from the faces around it, so its own index belongs to the key where faces differ.
-        rest = self.rest().normals[0]
-        return (np.moveaxis(self.frames, 0, 1), rest)
+        # Normals come from the faces around a vertex: two that move together in a sheet that
+        # starts flat have equal normals at first and other ones when it bends.
+        normals = self.geometry(self.frames.reshape(len(self.frames), -1)).normals
+        return (np.moveaxis(self.frames, 0, 1), np.moveaxis(normals, 0, 1))
 
     def _identity(self) -> tuple[FloatArray | IntArray, ...]:
         # Another run of the same simulation starts elsewhere and is still the same mesh.

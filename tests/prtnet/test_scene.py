@@ -329,6 +329,15 @@ def test_caches_merge_only_vertices_that_move_alike() -> None:
     assert len(cache(apart, faces).receivers()) == 5
 
 
+def test_caches_keep_vertices_apart_whose_faces_part_later() -> None:
+    """A seam in a sheet that starts flat: the normals beside it differ once the sheet is folded."""
+    folded = np.array([*QUAD, QUAD[0], QUAD[2]], dtype=np.float32)
+    flat = folded.copy()
+    folded[3, 2] = 1
+    receivers = cache([flat, folded], [[0, 1, 2], [4, 5, 3]]).receivers()
+    assert len(receivers) == 6
+
+
 def test_another_run_of_a_simulation_is_the_same_mesh() -> None:
     faces = [[0, 1, 2], [0, 2, 3]]
     assert cache(RISING, faces).mesh_sha256 == cache(RISING[1:] * 2, faces).mesh_sha256
