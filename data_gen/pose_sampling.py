@@ -86,7 +86,9 @@ class PoseSampler:
         first, second = rng.choice(allowed, (2, slots))
         share = np.where(rng.random(slots) < BLENDED, rng.random(slots), 0.0)
         used = np.zeros(len(self.clips), dtype=bool)
-        used[self._clip[np.concatenate([first, second[share > 0]])]] = True
+        seen = slots if self._morphs else slots - 1  # without morph weights their slot is idle
+        first_seen, second_seen = first[:seen], second[:seen][share[:seen] > 0]
+        used[self._clip[np.concatenate([first_seen, second_seen])]] = True
 
         nodes = np.arange(len(self._branch))
         a, b, u = first[self._branch], second[self._branch], share[self._branch]

@@ -118,14 +118,28 @@ def test_poses_show_the_clips_they_name() -> None:
     assert sources[between].all()
 
 
+def test_clips_of_morph_weights_count_only_where_there_are_some() -> None:
+    scene = arm(segments=10)
+    clips = [dataclasses.replace(scene.clips[0], name=name) for name in ("a", "b")]
+    poses, sources = PoseSampler(scene, clips, seed=0).sample(np.arange(60))
+    more = PoseSampler(with_morph(scene), clips, seed=0)
+    poses_of_more, sources_of_more = more.sample(np.arange(60))
+    np.testing.assert_array_equal(poses, poses_of_more[:, :-1])  # the same draws
+    assert (sources <= sources_of_more).all()
+    assert (sources < sources_of_more).any()
+
+
+def with_morph(scene: SkinnedScene) -> SkinnedScene:
+    rig = dataclasses.replace(scene.rig, weights=np.zeros(1), weights_of_node={0: slice(0, 1)})
+    shape = (1, scene.vertex_count, 3)
+    return dataclasses.replace(
+        scene, rig=rig, morph_positions=np.ones(shape), morph_normals=np.zeros(shape)
+    )
+
+
 def test_morph_weights_stay_within_their_range() -> None:
     scene = arm(segments=10)
-    morphed = dataclasses.replace(
-        scene,
-        rig=dataclasses.replace(scene.rig, weights=np.zeros(1), weights_of_node={0: slice(0, 1)}),
-        morph_positions=np.ones((1, scene.vertex_count, 3)),
-        morph_normals=np.zeros((1, scene.vertex_count, 3)),
-    )
+    morphed = with_morph(scene)
     times, values = np.array([0.0, 1.0]), np.array([[0.2], [0.7]])
     clip = Clip("grow", 0.0, 1.0, (Channel(0, "weights", times, values),))
     weights = PoseSampler(morphed, [clip], seed=0).sample(np.arange(100))[0][:, -1]
