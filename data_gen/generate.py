@@ -7,7 +7,6 @@ the number of threads, not by the number of poses.
 
 from __future__ import annotations
 
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +22,7 @@ from data_gen.pose_plan import PosePlan, plan_poses
 from data_gen.pose_sampling import MARGIN
 from data_gen.visibility import PoseTracer, TracedPose
 from prtnet.arrays import BoolArray, FloatArray
+from prtnet.cores import core_count
 from prtnet.dataset import Block, DatasetWriter
 from prtnet.errors import PrtnetError
 from prtnet.frames import FrameField, rest_tangents
@@ -59,7 +59,7 @@ class GenerateConfig:
     """Trace the back of the surface too: for cloth."""
     seed: int = 0
     """Of the sampled poses."""
-    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    threads: int = field(default_factory=core_count)
     """Threads that trace."""
     block: int = 8
     """Poses written at a time: one chunk of every array."""
@@ -71,8 +71,9 @@ class GenerateConfig:
 
     def check(self) -> None:
         """Raise PrtnetError where a value is impossible."""
-        for name, low in (("order", 1), ("rays", 1), ("threads", 1), ("block", 1), ("sample", 0)):
-            if getattr(self, name) < low:
+        least = {"order": 1, "rays": 1, "threads": 1, "block": 1, "sample": 0, "seed": 0}
+        for name, low in least.items():
+            if not getattr(self, name) >= low:
                 raise PrtnetError(f"--{name}", f"must be at least {low}")
         if self.fps is not None and self.count is not None:
             raise PrtnetError("--fps", "and --count exclude each other; give one")

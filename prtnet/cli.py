@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMANDS", "main", "run"]
 
+# What the demonstration spends, in generate and in train.
+DEMO_EFFORT = ["--fps", "8", "--rays", "256", "--sample", "150"]
+DEMO_FIT = ["--preset", "small"]
+
 
 @dataclass(frozen=True)
 class Command:
@@ -132,13 +136,13 @@ def overview() -> str:
 
 def arguments(name: str, argv: Sequence[str], *parts: Any) -> tuple[Any, ...]:
     """The options of a command, as ``cli_arguments.parse`` gives them, and its session."""
-    from prtnet.cli_arguments import check_output, parse
+    from prtnet.cli_arguments import check_report, parse
     from prtnet.cli_options import Common
     from prtnet.console import Console
 
     command = COMMANDS[name]
     *options, common = parse(name, argv, (*parts, Common), command.summary, command.example)
-    check_output(common.json)
+    check_report(common.json, *options)
     return (*options, Session(Console(common.quiet), common.json))
 
 
@@ -239,9 +243,11 @@ def evaluate(argv: Sequence[str]) -> None:
 
     model = VisibilityModel.load(options.model)
     predict = OnnxModel(build_onnx(model).SerializeToString(), options.threads)
-    truth_of = dataset_truth if options.data.is_dir() else scene_truth
     with session.console.progress() as report:
-        truth = truth_of(options, model, predict)
+        if options.data.is_dir():
+            truth = dataset_truth(options, model)
+        else:
+            truth = scene_truth(options, model, predict, functools.partial(report, "dumped poses"))
         results = measure(model, predict, truth.counted(report), truth.nearest)
     results["ms_per_pose"] = predict.milliseconds(truth.pose)
     results["model_bytes"] = options.model.stat().st_size
@@ -273,19 +279,18 @@ class Truth:
             report("poses", done, self.total)
 
 
-def dataset_truth(options: EvaluateOptions, model: VisibilityModel, predict: OnnxModel) -> Truth:
+def dataset_truth(options: EvaluateOptions, model: VisibilityModel) -> Truth:
     """The clips of a dataset."""
-    del predict
     from prtnet import evaluation
     from prtnet.dataset import SAMPLED, Dataset
 
     dataset = Dataset.open(options.data)
     if options.dump is not None:
         raise PrtnetError("--dump", "needs a scene in place of the dataset")
-    if (dataset.mesh_sha256, dataset.order) != (model.metadata.get("mesh_sha256"), model.order):
-        raise PrtnetError(
-            options.data, f"is of another mesh or order than {options.model}; train a model on it"
-        )
+    known = dataset.mesh_sha256, dataset.order, len(dataset.receiver_side)
+    if known != (model.metadata.get("mesh_sha256"), model.order, model.receiver_count):
+        what = f"is of another mesh, order or number of receivers than {options.model}"
+        raise PrtnetError(options.data, f"{what} (two-sided or not?); train a model on it")
     clips = chosen(options, [name for name in dataset.clip_names if name != SAMPLED])
     return Truth(
         evaluation.dataset_truth(model, dataset, clips),
@@ -295,7 +300,12 @@ def dataset_truth(options: EvaluateOptions, model: VisibilityModel, predict: Onn
     )
 
 
-def scene_truth(options: EvaluateOptions, model: VisibilityModel, predict: OnnxModel) -> Truth:
+def scene_truth(
+    options: EvaluateOptions,
+    model: VisibilityModel,
+    predict: OnnxModel,
+    dumped: Callable[[int, int], object],
+) -> Truth:
     """The clips of a scene, traced when they are wanted; writes the dump if there is to be one."""
     from data_gen import truth
     from data_gen.readers import read_scene, require_clips
@@ -306,7 +316,7 @@ def scene_truth(options: EvaluateOptions, model: VisibilityModel, predict: OnnxM
     actor = ModelledScene(model, scene)
     clips = chosen(options, [clip.name for clip in scene.clips])
     if options.dump is not None:
-        actor.dump(options.dump, clips, options.fps, predict)
+        actor.dump(options.dump, clips, options.fps, predict, dumped)
     return Truth(
         truth.scene_truth(actor, clips, options.fps, options.rays, threads(options.threads)),
         sum(len(scene.clip(clip).times(options.fps)) for clip in clips),
@@ -319,7 +329,7 @@ def chosen(options: EvaluateOptions, known: Sequence[str]) -> Sequence[str]:
     for name in options.clips:
         if name not in known:
             raise PrtnetError(options.data, f"has no clip '{name}'; {nearest_name(name, known)}")
-    return options.clips or known
+    return list(dict.fromkeys(options.clips)) or known
 
 
 def in_per_cent(results: Mapping[str, Any]) -> dict[str, Any]:
@@ -387,10 +397,12 @@ def render(argv: Sequence[str]) -> None:
         if options.compare is None:
             picture = develop(linear, auto_exposure(linear))
         else:
-            truth = trace_pose(
-                scene, actor.receivers, actor.frame_field, pose, model.order, options.rays,
-                threads(options.threads),
-            )  # fmt: skip
+            with session.console.progress() as report:
+                report("tracing the truth", 0, 0)
+                truth = trace_pose(
+                    scene, actor.receivers, actor.frame_field, pose, model.order, options.rays,
+                    threads(options.threads),
+                )  # fmt: skip
             true_surface = posed_surface(actor, pose, truth[0])
             true_linear = draw(renderer, true_surface, light, camera, options.size)
             picture, facts["error_in_per_cent_of_white"] = comparison(linear, true_linear)
@@ -423,10 +435,9 @@ def demo_steps(out: Path, held_out: Sequence[str]) -> list[list[str]]:
     scene, data, model = (str(out / f"mannequin.{kind}") for kind in ("glb", "zarr", "safetensors"))
     holdout, errors = ",".join(held_out), str(out / "errors.json")
     picture = ["--clip", held_out[0], "--compare", "truth", "--out", str(out / "frame.png")]
-    effort = ["--fps", "8", "--rays", "256", "--sample", "150"]
     return [
-        ["generate", scene, "--out", data, "--holdout", holdout, *effort],
-        ["train", data, "--out", model, "--preset", "small"],
+        ["generate", scene, "--out", data, "--holdout", holdout, *DEMO_EFFORT],
+        ["train", data, "--out", model, *DEMO_FIT],
         ["export", model, "--out", str(out / "export")],
         ["render", model, scene, *picture],
         ["evaluate", model, data, "--json", errors],
@@ -435,7 +446,9 @@ def demo_steps(out: Path, held_out: Sequence[str]) -> list[list[str]]:
 
 def threads(count: int | None) -> int:
     """As many as asked for, or one a core."""
-    return count or len(os.sched_getaffinity(0))
+    from prtnet.cores import core_count
+
+    return count or core_count()
 
 
 COMMANDS = {

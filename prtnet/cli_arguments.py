@@ -20,7 +20,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from prtnet.errors import PrtnetError
 
-__all__ = ["check_output", "input_file", "output_folder", "parse", "value_of"]
+__all__ = ["check_output", "check_report", "input_file", "output_folder", "parse", "value_of"]
 
 
 registry = ConstructorRegistry()
@@ -163,7 +163,7 @@ def check_output(path: Path | None, *inputs: Path, replaces: str | None = None) 
 
     Args:
         path: the output; None is fine.
-        inputs: files it must not overwrite.
+        inputs: files it must not overwrite, and datasets it must not be put in.
         replaces: for folders, a file that only folders of this kind have: what stands there is
             deleted, so it had better be an earlier output, or empty.
 
@@ -172,15 +172,43 @@ def check_output(path: Path | None, *inputs: Path, replaces: str | None = None) 
     """
     if path is None:
         return
-    if any(path.resolve() == other.resolve() for other in inputs):
-        raise PrtnetError(path, "is also an input; give another output")
+    for other in inputs:
+        inside = is_dataset(other) and other.resolve() in path.resolve().parents
+        if inside or path.resolve() == other.resolve():
+            raise PrtnetError(path, "is also an input, or in one; give another output")
     if replaces is None and path.is_dir():
         raise PrtnetError(path, "is a folder where a file would be written; give another output")
-    if replaces is not None and path.is_file():
+    if replaces is None and path.exists() and not path.is_file():
+        raise PrtnetError(path, "is no regular file; give another output")
+    if replaces is not None and path.exists() and not path.is_dir():
         raise PrtnetError(path, "is a file where a folder would be written; give another output")
     if path.is_dir() and not (path / str(replaces)).exists() and any(path.iterdir()):
         raise PrtnetError(path, "is a folder of other files, not replaced; give another output")
     check_writable(path)
+
+
+def check_report(path: Path | None, *options: Any) -> None:
+    """Check where ``--json`` writes: nowhere that the command reads or writes besides.
+
+    Args:
+        path: the file; None is fine.
+        options: dataclasses of options.
+
+    Raises:
+        PrtnetError: it cannot be written, or another option names it.
+    """
+    values = [getattr(part, field.name) for part in options for field in dataclasses.fields(part)]
+    texts = [value for value in values if isinstance(value, str)]  # a light may be a file
+    others = [value for value in values if isinstance(value, Path)]
+    others += [Path(text) for text in texts if Path(text).is_file()]
+    if path is not None and any(path.resolve() == other.resolve() for other in others):
+        raise PrtnetError(path, "is named twice; give --json a file of its own")
+    check_output(path, *others)
+
+
+def is_dataset(path: Path) -> bool:
+    """Whether a Zarr group stands there."""
+    return (path / "zarr.json").is_file()
 
 
 def output_folder(path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -23,9 +24,9 @@ __all__ = [
 
 
 def at_least(option: str, value: float | None, least: float) -> None:
-    """Refuse a number that is too small."""
-    if value is not None and not value >= least:
-        raise PrtnetError(option, f"is {value:g}; it must be at least {least:g}")
+    """Refuse a number that is too small, or none."""
+    if value is not None and not (value >= least and math.isfinite(value)):
+        raise PrtnetError(option, f"is {value:g}; it must be a number, at least {least:g}")
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,8 @@ class RenderOptions:
         """Refuse values that cannot work."""
         at_least("--rays", self.rays, 1)
         at_least("--threads", self.threads, 1)
+        if self.out.suffix.lower() != ".png":
+            raise PrtnetError(self.out, "is no name of a PNG picture; end it in .png")
         if max(self.size) > 8192:
             raise PrtnetError("--size", "is too large; give at most 8192x8192")
 

@@ -79,7 +79,7 @@ class ModelledScene:
         found = self.scene.clip(clip)
         if times is None:
             times = found.times(fps=fps)
-        if np.min(times) < found.start - 1e-6 or np.max(times) > found.end + 1e-6:
+        if not (np.min(times) >= found.start - 1e-6 and np.max(times) <= found.end + 1e-6):
             raise PrtnetError(
                 self.scene.path or self.scene.name,
                 f"clip '{clip}' runs from {found.start:g} to {found.end:g} s; "
@@ -88,7 +88,12 @@ class ModelledScene:
         return self.scene.poses(found, times)
 
     def dump(
-        self, path: Path, clips: Sequence[str], fps: float, predict: Callable[..., FloatArray]
+        self,
+        path: Path,
+        clips: Sequence[str],
+        fps: float,
+        predict: Callable[..., FloatArray],
+        progress: Callable[[int, int], object] | None = None,
     ) -> int:
         """Write predicted visibility in the **world** frame, for anybody's own ray tracer.
 
@@ -100,6 +105,7 @@ class ModelledScene:
             clips: names.
             fps: poses a second.
             predict: poses (P, D) to local visibility (P, V, n²).
+            progress: told the number of poses done, and of all.
 
         Returns:
             The number of poses.
@@ -114,6 +120,8 @@ class ModelledScene:
             positions[index], normals[index] = surface.positions[0], surface.normals[0]
             frames = self.frame_field.frames(pose, surface)[0].astype(np.float64)
             visibility[index] = rotate(predict(pose)[0].astype(np.float64), frames)
+            if progress is not None:
+                progress(index + 1, len(poses))
         with writing(path) as partial, open(partial, "wb") as file:
             np.savez_compressed(
                 file, positions=positions, normals=normals, faces=self.faces, visibility=visibility

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ import pytest
 from PIL import Image
 
 from data_gen.gltf_writer import write_glb
-from data_gen.procedural import arm
+from data_gen.procedural import arm, mannequin
+from data_gen.readers import read_scene
 from data_gen.visibility import Tracer, trace_pose
 from prtnet import cli, sh
+from prtnet.console import Console, Report
 from prtnet.dataset import Dataset
 from prtnet.model import VisibilityModel
 from prtnet.modelled_scene import ModelledScene
@@ -108,8 +111,6 @@ def test_clip_that_training_did_not_see_counts_as_held_out(work: Path, tmp_path:
 
 def test_dump_is_what_the_model_says_in_the_world(work: Path, tmp_path: Path) -> None:
     """With the truth in place of a prediction, a tracer that knows only the dump agrees."""
-    from data_gen.readers import read_scene
-
     model = VisibilityModel.load(work / "arm.safetensors")
     actor = ModelledScene(model, read_scene(work / "arm.glb"))
 
@@ -208,6 +209,81 @@ def test_another_scene_is_refused(
     assert list(tmp_path.iterdir()) == [other]
 
 
+def test_two_sided_data_is_refused_by_a_model_of_one_side(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = tmp_path / "both.zarr"
+    effort = ("--count", "2", "--rays", "8", "--threads", "1", "--two-sided", "--quiet")
+    prtnet("generate", work / "arm.glb", "--out", both, *effort)
+    told = failure(capsys, "evaluate", work / "arm.safetensors", both)
+    assert "number of receivers" in told
+
+
+def test_clip_that_is_named_twice_counts_once(work: Path, tmp_path: Path) -> None:
+    path = tmp_path / "dump.npz"
+    options = ("--clips", "bend,bend", "--fps", "1", "--rays", "16", "--dump", path, "--quiet")
+    prtnet("evaluate", work / "arm.safetensors", work / "arm.glb", *options)
+    with np.load(path, allow_pickle=False) as dump:
+        assert len(dump["positions"]) == 5
+
+
+def test_dump_tells_how_far_it_is(work: Path, tmp_path: Path) -> None:
+    model = VisibilityModel.load(work / "arm.safetensors")
+    actor = ModelledScene(model, read_scene(work / "arm.glb"))
+    told: list[tuple[int, int]] = []
+    actor.dump(
+        tmp_path / "dump.npz", ["bend"], 0.5, model, lambda done, total: told.append((done, total))
+    )
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_slow_steps_report(work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+
+    @contextlib.contextmanager
+    def progress(console: Console) -> Iterator[Report]:
+        del console
+        yield lambda what, *_: told.append(what)
+
+    monkeypatch.setattr(Console, "progress", progress)
+    scene = work / "arm.safetensors", work / "arm.glb"
+    picture = ("--out", tmp_path / "x.png", "--size", "40x30", "--renderer", "cpu", "--rays", "8")
+    prtnet("render", *scene, *picture, "--compare", "truth", "--quiet")
+    prtnet("evaluate", *scene, "--dump", tmp_path / "x.npz", "--fps", "1", "--rays", "8", "--quiet")
+    assert list(dict.fromkeys(told)) == ["tracing the truth", "dumped poses", "poses"]
+
+
+def test_demonstration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    coarse = mannequin(0.06)
+    monkeypatch.setattr("data_gen.procedural.mannequin", lambda: coarse)
+    monkeypatch.setattr(cli, "DEMO_EFFORT", ["--count", "4", "--rays", "16", "--sample", "8"])
+    monkeypatch.setattr(cli, "DEMO_FIT", ["--kind", "linear", "--clusters", "4"])
+    folder = tmp_path / "demo"
+    prtnet("demo", "--out", folder, "--json", tmp_path / "paths.json")
+    paths = json.loads((tmp_path / "paths.json").read_text())
+    assert paths == {
+        "onnx": str(folder / "export" / "model.onnx"),
+        "picture": str(folder / "frame.png"),
+        "errors": str(folder / "errors.json"),
+    }
+    onnx.checker.check_model(paths["onnx"])
+    with Image.open(paths["picture"]) as picture:
+        assert picture.format == "PNG"
+        assert np.ptp(np.asarray(picture)) > 100
+    errors = json.loads(Path(paths["errors"]).read_text())
+    assert errors["clips"]["dance"]["held_out"] is True
+    out, err = capsys.readouterr()
+    table = [line.split() for line in out.splitlines()]
+    assert ["clips", "rms", "p99", "max", "held", "out"] in table
+    assert f"{100 * errors['clips']['dance']['rms']:.2f}" in out
+    assert [line for line in out.splitlines() if line.split()[-1:] == [paths["onnx"]]]
+    assert paths["picture"] in out
+    assert paths["errors"] in out
+    assert err.count("\n$ prtnet ") == len(cli.demo_steps(folder, ["dance"]))
+
+
 BAD: list[tuple[Sequence[str], str]] = [
     (("generate", "arm.zarr", "--out", "x.zarr"), "is a folder where a file is wanted"),
     (("generate", "arm.glb", "--out", "."), "other files, not replaced"),
@@ -224,7 +300,29 @@ BAD: list[tuple[Sequence[str], str]] = [
     (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--clip", "bnd"), "'bend'"),
     (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--time", "9"), "0 to 4 s"),
     (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--light", "suno"), "'sunset'"),
-    (("render", "arm.safetensors", "arm.glb", "--out", "arm.glb"), "is also an input"),
+    (("generate", "arm.glb", "--out", "arm.glb"), "is also an input"),
+    (("generate", "arm.glb", "--out", "x.zarr", "--seed", "-1"), "--seed: must be at least 0"),
+    (("evaluate", "arm.safetensors", "arm.glb", "--fps", "inf"), "--fps: is inf"),
+    (("evaluate", "arm.safetensors", "arm.glb", "--fps", "nan"), "--fps: is nan"),
+    (("evaluate", "arm.safetensors", "arm.zarr", "--json", "arm.zarr/zarr.json"), "an input"),
+    (("evaluate", "arm.safetensors", "arm.glb", "--dump", "x", "--json", "./x"), "is named twice"),
+    (("info", "arm.glb", "--json", "arm.glb"), "is named twice"),
+    (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--time", "nan"), "0 to 4 s"),
+    (("render", "arm.safetensors", "arm.glb", "--out", "x.jpg"), "end it in .png"),
+    (
+        (
+            "render",
+            "arm.safetensors",
+            "arm.glb",
+            "--out",
+            "x.png",
+            "--light",
+            "arm.glb",
+            "--json",
+            "arm.glb",
+        ),
+        "is named twice",
+    ),
     (("export", "arm.safetensors", "--out", "."), "other files, not replaced"),
     (("info", "arm.png"), "does not exist"),
 ]

@@ -15,6 +15,7 @@ from prtnet import cli
 from prtnet.cli import COMMANDS, Command
 from prtnet.cli_arguments import (
     check_output,
+    check_report,
     input_file,
     one_line,
     output_folder,
@@ -144,6 +145,29 @@ def test_output_is_checked_before_the_work(tmp_path: Path) -> None:
         check_output(tmp_path)
     with pytest.raises(PrtnetError, match="there is no folder"):
         check_output(tmp_path / "no" / "a")
+
+
+def test_only_regular_files_are_replaced(tmp_path: Path) -> None:
+    """A pipe stands for /dev/null, which a superuser would really replace were this to fail."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(PrtnetError, match="is no regular file"):
+        check_output(pipe)
+    with pytest.raises(PrtnetError, match="is a file where a folder"):
+        check_output(pipe, replaces="model.onnx")
+
+
+def test_report_has_a_file_of_its_own(tmp_path: Path) -> None:
+    scene, dataset = tmp_path / "a.glb", tmp_path / "a.zarr"
+    scene.write_text("x")
+    dataset.mkdir()
+    (dataset / "zarr.json").write_text("{}")
+    check_report(None, Options(scene))
+    check_report(tmp_path / "a.json", Options(scene))
+    with pytest.raises(PrtnetError, match="named twice"):
+        check_report(tmp_path / "." / "a.glb", Options(scene))
+    with pytest.raises(PrtnetError, match="in one"):
+        check_report(dataset / "zarr.json", Options(dataset))
 
 
 def test_only_folders_of_our_own_are_replaced(tmp_path: Path) -> None:
