@@ -67,16 +67,20 @@ def main() -> None:
         name = f"prtnet, {iterations} iterations"
         add(name, time.perf_counter() - started, fitted(x).numpy())
 
-    # scikit-learn minimises ½ mean ‖r‖² + ½ α/P Σ w²; ours is mean ‖r‖² + α Σ w².
+    # By its gradient scikit-learn minimises ½ mean_i ‖r_i‖² + ½ α/P Σ w²; ours is
+    # mean_i ‖r_i‖² + α Σ w². The loss it reports also averages over outputs, which its line
+    # search then sees: the peer as it is installed.
     scale = target_scale(y).numpy()
     for limit in (200, 1000):
         predicted = np.zeros_like(output.targets)
         started = time.perf_counter()
         for cluster in range(len(slots)):
             count = output.latents[cluster]
+            if count == 0:
+                continue
             peer = MLPRegressor(
-                config.neurons, activation="tanh", solver="lbfgs", alpha=ALPHA * TRAIN,
-                max_iter=limit, max_fun=100_000, random_state=0,
+                hidden_layer_sizes=(config.neurons,), activation="tanh", solver="lbfgs",
+                alpha=ALPHA * TRAIN, max_iter=limit, max_fun=100_000, random_state=0,
             )  # fmt: skip
             wanted = output.targets[cluster, ~test, :count] / scale[cluster]
             peer.fit(inputs[cluster, ~test], wanted)

@@ -58,7 +58,7 @@ class ClipsOnly(Dataset):
 def robot() -> None:
     """Ten training clips, four held out, 16 clusters."""
     data = dataset("robot", "robot.glb", ROBOT)
-    base = dataclasses.replace(PRESETS["default"], clusters=16)
+    base = dataclasses.replace(PRESETS["default"], clusters=16, latents=14)
     papers = dataclasses.replace(base, features="joint_angles", input_variance=0.9)
     rows = [
         row("linear, joint angles", data, dataclasses.replace(papers, kind="linear")),

@@ -21,7 +21,8 @@ def model(data):
 
 
 def test_yardsticks_are_what_they_say(data, model):
-    result = evaluate(model, model, dataset_truth(model, data, data.clip_names, 3), NearestPose(data))
+    blocks = dataset_truth(model, data, data.clip_names, 3)
+    result = evaluate(model, model, blocks, NearestPose(data))
     rows = data.held_out_poses()
     truth = data.read("visibility", rows)
     mean = data.read("visibility", data.training_poses()).mean(axis=0)
