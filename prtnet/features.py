@@ -180,6 +180,8 @@ class Occluders(Features):
         centre = (linear[:, ridden] @ self.spheres.centre[..., None])[..., 0] + offset[:, ridden]
         home, home_offset = linear[:, self.cluster_joint], offset[:, self.cluster_joint]
         square = np.maximum(np.sum(home * home, axis=-2, keepdims=True), SMALLEST)
+        if self.one_scale:  # anybody's will do
+            square = square[:, :1, :, :1]
         away = centre[:, self.near] - home_offset[:, :, None]  # [P, C, K, 3]
         local = (away @ (home / square))[:, :, None] - self.point[:, :, None]  # [P, C, M, K, 3]
         distance2 = np.maximum(np.sum(local * local, axis=-1), SMALLEST)

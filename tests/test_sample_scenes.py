@@ -22,7 +22,7 @@ SCENES = {
     "human.glb": ("Walk", "RangeOfMotion"),
     "cloth_train.npz": ("cloth_train",),
 }
-SMALL = TrainConfig(clusters=8, neurons=6, latents=3, spheres=40, points=3, near=12, alpha=1e-2)
+SMALL = TrainConfig(clusters=32, neurons=6, latents=3, spheres=40, points=3, near=12, alpha=1e-2)
 
 
 @pytest.fixture(scope="module", params=SCENES)
@@ -52,5 +52,6 @@ def test_onnx_equals_the_numpy_reference(dataset, kind, features):
     assert np.ptp(expected, axis=0).max() > 0.01  # the pose matters
     for size in (1, len(poses)):
         got = np.concatenate([answer for _, answer in run.blocks(poses, size)])
-        assert np.linalg.norm(got - expected) <= 1e-5 * np.linalg.norm(expected)
-        assert np.abs(got - expected).max() <= 1e-5 * np.abs(expected).max()
+        assert np.linalg.norm(got - expected) <= 2e-6 * np.linalg.norm(expected)
+        # One coefficient of one receiver, where a sphere nearly touches a reference point.
+        assert np.abs(got - expected).max() <= 2e-5 * np.abs(expected).max()
