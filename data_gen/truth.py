@@ -37,4 +37,4 @@ def scene_truth(
             for start in range(0, len(poses), BLOCK):
                 block = poses[start : start + BLOCK]
                 visibility = np.stack([pose.visibility for pose in tracer.map(block, pool)])
-                yield TruthBlock(clip, clip not in actor.training_clips, block, visibility)
+                yield TruthBlock(clip, clip not in actor.model.training_clips, block, visibility)

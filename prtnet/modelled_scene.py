@@ -52,11 +52,6 @@ class ModelledScene:
         """The frames the model's visibility is in."""
         return FrameField(self.scene, self.receivers, self.model.rest_tangents)
 
-    @cached_property
-    def training_clips(self) -> frozenset[str]:
-        """Names of the clips that training saw."""
-        return self.model.training_clips
-
     def geometry(self, poses: FloatArray) -> Geometry:
         """Positions and normals of receivers (P, V, 3) of flattened poses (P, D)."""
         return self.receivers.gather(self.scene.geometry(poses))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prtnet.arrays import BoolArray, FloatArray, IntArray
+from prtnet.arrays import FloatArray, IntArray
 
 __all__ = ["OutputReduction", "input_reduction", "reduce_output"]
 
@@ -108,7 +108,7 @@ def reduce_output(
 
 
 def input_reduction(
-    features: FloatArray, variance: float, most: int, fit_on: BoolArray | None = None
+    features: FloatArray, variance: float, most: int
 ) -> tuple[FloatArray, FloatArray]:
     """Mean (C, F) and scaled basis (C, F, K) of features (P, C, F): x → (x − mean) · basis.
 
@@ -116,7 +116,7 @@ def input_reduction(
     divided by the root mean variance of the kept components: inputs have about unit scale, and
     components keep their relative size.
     """
-    table = np.swapaxes(features if fit_on is None else features[fit_on], 0, 1)
+    table = np.swapaxes(features, 0, 1)
     table = table.astype(np.float64)
     mean = table.mean(axis=1)
     centred = table - mean[:, None]
