@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import eval_legendre
 
 if TYPE_CHECKING:
     from prtnet.arrays import FloatArray, IntArray
 
-__all__ = ["Spheres", "cap_integrals", "fit_spheres"]
+__all__ = ["Spheres", "cap_integral_rows", "cap_integrals", "fit_spheres"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +38,20 @@ class Spheres:
 
 def cap_integrals(cosine: FloatArray, order: int) -> FloatArray:
     """I_l(c) = ∫_c^1 P_l for l < order, (..., order); ``cosine`` (...) is the cap's cos θ."""
-    legendre = [eval_legendre(degree, cosine) for degree in range(order + 1)]
+    return np.stack(cap_integral_rows(cosine, order), axis=-1)
+
+
+def cap_integral_rows(cosine: FloatArray, order: int) -> list[FloatArray]:
+    """The same, one array for each l; P_l by Bonnet's recursion."""
+    legendre = [np.ones_like(cosine), cosine]
+    for degree in range(1, order):
+        ahead = (2 * degree + 1) * cosine * legendre[degree] - degree * legendre[degree - 1]
+        legendre.append(ahead / (degree + 1))
     integrals = [1.0 - cosine]
-    integrals += [
-        (legendre[degree - 1] - legendre[degree + 1]) / (2 * degree + 1)
-        for degree in range(1, order)
-    ]
-    return np.stack(integrals, axis=-1)
+    for degree in range(1, order):
+        difference = legendre[degree - 1] - legendre[degree + 1]
+        integrals.append(difference / (2 * degree + 1))
+    return integrals
 
 
 def fit_spheres(

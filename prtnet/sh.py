@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "bands",
+    "components",
     "evaluate",
     "evaluate_reference",
     "fibonacci_hemisphere",
@@ -63,17 +64,26 @@ def evaluate(directions: Array, order: int) -> Array:
         (..., n²), same library and dtype as ``directions``.
     """
     unit, xp = _checked(directions, order)
-    rows = _polynomial_rows if order <= FAST_ORDER else _recurrence_rows
     flat = unit.reshape(-1, 3)
     if xp is np:
         # Blocks that stay in cache: fresh memory for every term costs more than the terms.
         basis: Any = np.empty((len(flat), order * order), unit.dtype)
         for start in range(0, len(flat), BLOCK):
             part = slice(start, start + BLOCK)
-            np.stack(rows(np.ascontiguousarray(flat[part].T), order), axis=-1, out=basis[part])
+            x, y, z = np.ascontiguousarray(flat[part].T)
+            np.stack(components(x, y, z, order), axis=-1, out=basis[part])
     else:
-        basis = xp.stack(rows(flat.T, order), -1)
+        basis = xp.stack(components(flat[:, 0], flat[:, 1], flat[:, 2], order), -1)
     return basis.reshape(*unit.shape[:-1], order * order)
+
+
+def components(x: Array, y: Array, z: Array, order: int) -> list[Array]:
+    """The basis at unit directions given by their components: n² arrays of their shape.
+
+    What ``evaluate`` stacks; without the stacking where only sums are wanted.
+    """
+    rows = _polynomial_rows if order <= FAST_ORDER else _recurrence_rows
+    return rows([x, y, z], order)
 
 
 def evaluate_reference(directions: Array, order: int) -> Array:

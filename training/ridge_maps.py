@@ -1,0 +1,50 @@
+"""A ridge map for each cluster from what receivers see to the deviation of their visibility."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prtnet.arrays import FloatArray, IntArray
+from prtnet.prior import saturated
+from training.prior_samples import Samples
+
+__all__ = ["fit_maps"]
+
+RIDGE = 1e-3  # of the features' mean square
+
+
+def fit_maps(
+    samples: Samples, cluster: IntArray, clusters: int, receivers: int, ridge: float = RIDGE
+) -> tuple[FloatArray, FloatArray]:
+    """Maps (C, 2 · F, n²) and each receiver's shift (V, n²).
+
+    Features count as deviations from each receiver's own mean, so a map says what changes with
+    the pose and not how receivers differ; the shift takes the mean back.
+
+    Args:
+        samples: pairs of a pose and a receiver.
+        cluster: of each receiver, (V,).
+        clusters: C.
+        receivers: V.
+        ridge: weight decay relative to the features' mean square.
+    """
+    both = np.concatenate([samples.features, saturated(samples.features)], axis=1)
+    count = np.maximum(np.bincount(samples.receiver, minlength=receivers), 1)[:, None]
+    order = np.argsort(samples.receiver, kind="stable")
+    starts = np.searchsorted(samples.receiver[order], np.arange(receivers))
+    mean = np.zeros((receivers, both.shape[1]))
+    seen = np.bincount(samples.receiver, minlength=receivers) > 0
+    mean[seen] = np.add.reduceat(both[order], starts[seen], axis=0, dtype=np.float64)
+    mean /= count
+    centred = both - mean[samples.receiver].astype(np.float32)
+    own = cluster[samples.receiver]
+    maps = np.zeros((clusters, both.shape[1], samples.deviation.shape[1]))
+    for index in np.unique(own):
+        x = centred[own == index].astype(np.float64)
+        gram = x.T @ x
+        level = ridge * np.trace(gram) / len(gram)
+        if level > 0:
+            right = x.T @ samples.deviation[own == index]
+            maps[index] = np.linalg.solve(gram + level * np.eye(len(gram)), right)
+    shift = -np.einsum("vf,vfi->vi", mean, maps[cluster])
+    return maps.astype(np.float32), shift.astype(np.float32)
