@@ -19,7 +19,7 @@ def main() -> None:
     for name, scene, config in (("robot", "robot.glb", ROBOT), ("human", "human.glb", HUMAN)):
         data = dataset(name, scene, config)
         model = train(data, PRESETS["default"])
-        edges = receiver_edges(data.read("faces"), data.read("receiver_of_vertex"))
+        edges = receiver_edges(data.faces, data.receiver_of_vertex)
         owner = cluster_of_receiver(model.receivers)
         errors, truths = JumpSum(edges), JumpSum(edges)
         rows = data.held_out_poses()
@@ -30,7 +30,7 @@ def main() -> None:
             errors.add(model(data.read("pose", block)) - truth)
             truths.add(truth)
             level += float(np.square(truth, dtype=np.float64).sum())
-        root = (level / len(rows) / data.receivers) ** 0.5
+        root = (level / len(rows) / len(data.rest_positions)) ** 0.5
         ratio = errors.rms(owner)[0] / errors.rms(owner)[1]
         parts = (*errors.rms(owner), *truths.rms(owner))
         borders = (owner[edges[:, 0]] != owner[edges[:, 1]]).mean()
