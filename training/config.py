@@ -26,6 +26,8 @@ class TrainConfig:
     """Neurons in each cluster's hidden layer."""
     networks: int = 1
     """Networks fitted from different starts and averaged into one of networks × neurons."""
+    restarts: int = 1
+    """Starts of each network, of which every cluster keeps the best after a few iterations."""
     output_variance: float = 0.99
     """Fraction of the visibility's variance that the output components keep."""
     latents: float = 10.0
@@ -54,6 +56,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
         least = {"clusters": 1, "neurons": 1, "networks": 1, "inputs": 1, "iterations": 1}
+        least["restarts"] = 1
         least |= {"spheres": 1, "points": 1, "near": 1, "feature_order": 1, "latents": 0}
         for name, bound in least.items():
             if not getattr(self, name) >= bound:  # so that NaN fails

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-__all__ = ["Objective", "Result", "minimise"]
+__all__ = ["NOT_FINITE", "Objective", "Result", "minimise"]
 
 Objective = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """(x (A, D), indices (A,) of the problems) -> values (A,), gradients (A, D)."""
@@ -22,6 +22,7 @@ Objective = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 ARMIJO = 1e-4
 LONGEST_SEARCH = 25
 CONVERGED, STALLED, UNFINISHED = "converged", "stalled", "iteration limit"
+NOT_FINITE = "not finite"
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,8 @@ class Result:
         x: the best point found, (C, D).
         value: its objective, (C,).
         iterations: taken by each problem, (C,).
-        status: why each stopped: converged, stalled (no lower point along the search direction)
-            or iteration limit.
+        status: why each stopped: converged, stalled (no lower point along the search direction),
+            iteration limit, or not finite (already at its start, where it stays).
     """
 
     x: Tensor
@@ -43,45 +44,51 @@ class Result:
 
 
 class History:
-    """The last ``size`` steps and gradient changes of every problem."""
+    """The last ``size`` steps and gradient changes of the problems at work, in their order.
 
-    def __init__(self, size: int, x: Tensor) -> None:
-        self.s = x.new_zeros(size, *x.shape)
-        self.y = torch.zeros_like(self.s)
-        self.rho = x.new_zeros(size, len(x))
-        self.scale = x.new_ones(len(x))
-        self.next = 0
+    Kept dense: problems that finish are dropped, so that no iteration has to gather the rest.
+    """
 
-    def push(self, index: Tensor, s: Tensor, y: Tensor) -> None:
-        """Store a step of the problems ``index``; pairs without positive curvature are left out."""
-        sy, yy = (s * y).sum(1), (y * y).sum(1)
-        good = sy > 1e-10 * yy
-        slot = self.next
-        self.s[slot, index], self.y[slot, index] = s, y
-        self.rho[slot, index] = torch.where(good, 1.0 / torch.where(good, sy, 1.0), 0.0)
-        self.scale[index] = torch.where(good, sy / torch.where(good, yy, 1.0), self.scale[index])
-        self.next = (slot + 1) % len(self.s)
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.pairs: list[tuple[Tensor, Tensor, Tensor]] = []  # s, y (A, D), ρ (A, 1), oldest first
+        self.scale: Tensor | None = None  # (A, 1)
 
-    def forget(self, index: Tensor) -> None:
-        """Start the problems ``index`` afresh, from steepest descent."""
-        self.rho[:, index] = 0.0
-        self.scale[index] = 1.0
+    def push(self, moved: Tensor, s: Tensor, y: Tensor) -> None:
+        """Store steps (A, D); ρ = 0 where a problem did not move or found no positive curvature."""
+        sy, yy = (s * y).sum(1, keepdim=True), (y * y).sum(1, keepdim=True)
+        good = moved[:, None] & (sy > 1e-10 * yy)
+        rho = torch.where(good, 1.0 / torch.where(good, sy, 1.0), 0.0)
+        before = torch.ones_like(sy) if self.scale is None else self.scale
+        self.scale = torch.where(good, sy / torch.where(good, yy, 1.0), before)
+        self.pairs = [*self.pairs[-self.size + 1 :], (s, y, rho)]
 
-    def direction(self, index: Tensor, gradient: Tensor) -> Tensor:
+    def forget(self, which: Tensor) -> None:
+        """Start the problems where ``which`` (A,) is true afresh, from steepest descent."""
+        again = which[:, None]
+        self.pairs = [(s, y, torch.where(again, 0.0, rho)) for s, y, rho in self.pairs]
+        if self.scale is not None:
+            self.scale = torch.where(again, 1.0, self.scale)
+
+    def keep(self, which: Tensor) -> None:
+        """Drop all problems but those where ``which`` (A,) is true."""
+        self.pairs = [(s[which], y[which], rho[which]) for s, y, rho in self.pairs]
+        if self.scale is not None:
+            self.scale = self.scale[which]
+
+    def direction(self, gradient: Tensor) -> Tensor:
         """−H g by the two-loop recursion; a pair that was left out has ρ = 0 and does nothing."""
-        s, y, rho = self.s[:, index], self.y[:, index], self.rho[:, index]
-        size = len(s)
-        newest_first = [(self.next - 1 - k) % size for k in range(size)]
         q = gradient.clone()
-        alpha = [q.new_zeros(len(q))] * size
-        for k in newest_first:
-            alpha[k] = rho[k] * (s[k] * q).sum(1)
-            q -= alpha[k][:, None] * y[k]
-        q *= self.scale[index][:, None]
-        for k in reversed(newest_first):
-            beta = rho[k] * (y[k] * q).sum(1)
-            q += (alpha[k] - beta)[:, None] * s[k]
-        return -q
+        weights = []
+        for s, y, rho in reversed(self.pairs):
+            weights.append(rho * (s * q).sum(1, keepdim=True))
+            q.addcmul_(weights[-1], y, value=-1.0)
+        if self.scale is not None:
+            q *= self.scale
+        for s, y, rho in self.pairs:
+            beta = rho * (y * q).sum(1, keepdim=True)
+            q.addcmul_(weights.pop() - beta, s)
+        return q.neg_()
 
 
 def search(
@@ -139,47 +146,51 @@ def minimise(
     x = x0.clone()
     everyone = torch.arange(len(x), device=x.device)
     value, gradient = objective(x, everyone)
-    memory = History(history, x)
-    taken = torch.zeros(len(x), dtype=torch.long)
-    quiet = torch.zeros(len(x), dtype=torch.long, device=x.device)
-    fresh = torch.ones(len(x), dtype=torch.bool, device=x.device)
+    taken = torch.zeros(len(x), dtype=torch.long, device=x.device)
     status = [UNFINISHED] * len(x)
     sound = torch.isfinite(value) & torch.isfinite(gradient).all(1)
-    for lost in everyone[~sound].tolist():
-        status[lost] = STALLED
+    note(status, everyone[~sound], NOT_FINITE)
     active = everyone[sound]
+    memory = History(history)
+    quiet = torch.zeros_like(active)
+    fresh = torch.ones_like(active, dtype=torch.bool)
     for iteration in range(iterations):
         if len(active) == 0:
             break
-        g = gradient[active]
-        d = memory.direction(active, g)
+        here, below, g = x[active], value[active], gradient[active]
+        d = memory.direction(g)
         slope = (d * g).sum(1)
         uphill = ~(slope < 0)
         d, slope = torch.where(uphill[:, None], -g, d), torch.where(uphill, -(g * g).sum(1), slope)
-        first = fresh[active] | uphill
         length = g.norm(dim=1).clamp(min=1e-300)
-        step = torch.where(first, torch.clamp(1.0 / length, max=1.0), torch.ones_like(length))
+        first = torch.clamp(1.0 / length, max=1.0)
+        step = torch.where(fresh | uphill, first, torch.ones_like(length))
         new_x, new_value, new_gradient, moved = search(
-            objective, active, x[active], value[active], slope, d, step
+            objective, active, here, below, slope, d, step
         )
-        went = active[moved]
-        memory.push(went, new_x[moved] - x[went], new_gradient[moved] - g[moved])
-        gain = value[went] - new_value[moved]
-        quiet[went] = torch.where(gain <= tolerance * new_value[moved].abs(), quiet[went] + 1, 0)
-        x[went], value[went], gradient[went] = new_x[moved], new_value[moved], new_gradient[moved]
-        taken[went.cpu()] += 1
+        new_gradient = torch.where(moved[:, None], new_gradient, g)
+        memory.push(moved, new_x - here, new_gradient - g)
+        x[active], value[active], gradient[active] = new_x, new_value, new_gradient
+        taken[active] += moved.long()
+        small = moved & (below - new_value <= tolerance * new_value.abs())
+        quiet = torch.where(moved, torch.where(small, quiet + 1, 0), quiet)
         # A problem that found no lower point restarts from steepest descent once, then stops.
-        stuck = active[~moved]
-        hopeless = stuck[fresh[stuck]]
-        memory.forget(stuck)
-        fresh[went], fresh[stuck] = False, True
-        finished = active[(quiet[active] >= 3) | (gradient[active].abs().amax(1) == 0)]
-        for problem in finished.tolist():
-            status[problem] = CONVERGED
-        for problem in hopeless.tolist():
-            status[problem] = STALLED
-        leaving = torch.cat([finished, hopeless])
-        active = active[~torch.isin(active, leaving)]
+        hopeless = ~moved & fresh
+        memory.forget(~moved)
+        fresh = ~moved
+        finished = ~hopeless & ((quiet >= 3) | (new_gradient.abs().amax(1) == 0))
+        note(status, active[finished], CONVERGED)
+        note(status, active[hopeless], STALLED)
+        going = ~(finished | hopeless)
+        if not bool(going.all()):
+            memory.keep(going)
+            active, quiet, fresh = active[going], quiet[going], fresh[going]
         if on_iteration is not None:
             on_iteration(iteration, value)
-    return Result(x, value, taken, status)
+    return Result(x, value, taken.cpu(), status)
+
+
+def note(status: list[str], problems: Tensor, text: str) -> None:
+    """Write down why some problems stopped."""
+    for problem in problems.tolist():
+        status[problem] = text

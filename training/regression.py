@@ -15,10 +15,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from training.lbfgs import Objective, minimise
+from prtnet.errors import PrtnetError
+from training.lbfgs import NOT_FINITE, Objective, minimise
 
-__all__ = ["Fit", "average", "fit_linear", "fit_neural"]
+__all__ = ["Fit", "average", "fit_linear", "fit_neural", "total_iterations"]
 
+CLOSED_FORM, CONSTANT = "closed form", "constant"
+START_ALPHA = 1e-2  # of the ridge regression that networks start near
+START_GAIN = 0.3  # how far into its bend a neuron sees at the start
+START_ELSEWHERE = 0.2  # weight of directions the ridge regression does not look along
+SCREENING = 20  # iterations after which restarts are compared
 JITTER = 30.0  # roundings of the mean diagonal: keeps α = 0 with dependent columns solvable
 
 
@@ -31,7 +37,7 @@ class Fit:
         hidden_weight, hidden_bias: (C, K, N) and (C, N); None for a linear fit.
         loss: objective of each cluster, of the unit-variance targets, (C,).
         iterations: of each cluster, (C,).
-        status: why each cluster's fit stopped.
+        status: why each cluster's fit stopped; constant where there was nothing to fit.
     """
 
     weight: Tensor
@@ -73,46 +79,131 @@ def with_ones(x: Tensor) -> Tensor:
     return torch.cat([x, torch.ones_like(x[..., :1])], dim=-1)
 
 
+def target_variance(targets: Tensor) -> Tensor:
+    """Each cluster's total variance, (C,), of targets (C, P, L)."""
+    return (targets - targets.mean(dim=1, keepdim=True)).square().mean(dim=1).sum(dim=-1)
+
+
 def target_scale(targets: Tensor) -> Tensor:
     """Root of each cluster's total variance, (C, 1, 1); 1 where it has none."""
-    variance = (targets - targets.mean(dim=1, keepdim=True)).square().mean(dim=1).sum(dim=-1)
+    variance = target_variance(targets)
     return torch.where(variance > 0, variance, 1.0).sqrt()[:, None, None]
 
 
 def ridge(x: Tensor, targets: Tensor, alpha: float) -> Tensor:
     """Weights and, in the last row, the bias: (C, K + 1, L) for x (C, P, K), targets (C, P, L).
 
-    Minimises mean_i ‖x W + b − t‖² + α ‖W‖². The normal equations are solved in float64, with as
-    much added to their diagonal as the rounding of their entries asks for.
+    Minimises mean_i ‖x W + b − t‖² + α ‖W‖².
     """
-    full = with_ones(x)
-    gram = full.mT @ full / x.shape[1]
+    return solve_ridge(with_ones(x), targets, alpha)
+
+
+def solve_ridge(full: Tensor, targets: Tensor, alpha: float) -> Tensor:
+    """As :func:`ridge`, for inputs (C, P, K + 1) whose last column is ones.
+
+    The normal equations are solved in float64, with as much added to their diagonal as the
+    rounding of their entries asks for.
+    """
+    poses = full.shape[1]
+    gram = full.mT @ full / poses
     diagonal = torch.full_like(gram[:, 0], alpha)
     diagonal[:, -1] = 0.0
     mean_diagonal = gram.diagonal(dim1=-2, dim2=-1).mean(-1, keepdim=True)
-    rounding = JITTER * torch.finfo(x.dtype).eps * mean_diagonal
-    right = (full.mT @ targets / x.shape[1]).double()
-    for growth in (1.0, 1e2, 1e4):
-        system = (gram + torch.diag_embed(diagonal + growth * rounding)).double()
+    rounding = JITTER * torch.finfo(full.dtype).eps * mean_diagonal
+    right = (full.mT @ targets / poses).double()
+    for _ in range(3):
+        system = (gram + torch.diag_embed(diagonal + rounding)).double()
         factor, failed = torch.linalg.cholesky_ex(system)
         if not failed.any():
             break
-    return torch.cholesky_solve(right, factor).to(x.dtype)
+        rounding = torch.where(failed[:, None] > 0, 1e2 * rounding, rounding)
+    return torch.cholesky_solve(right, factor).to(full.dtype)
+
+
+def require_finite(inputs: Tensor, targets: Tensor) -> None:
+    """One line for a number that is not finite, rather than a model full of them."""
+    for name, table in (("inputs", inputs), ("targets", targets)):
+        bad = ~torch.isfinite(table).all(2).all(1)
+        if bool(bad.any()):
+            first = int(bad.nonzero()[0, 0])
+            raise PrtnetError(
+                "training data",
+                f"cluster {first} has {name} that are not finite; generate the dataset again",
+            )
+
+
+def fit_varying(inputs: Tensor, targets: Tensor, fit: Callable[[Tensor, Tensor], Fit]) -> Fit:
+    """Fit the clusters whose targets vary; the others cost nothing and predict their mean.
+
+    So does, whatever happens, a cluster whose fit is not finite.
+
+    Args:
+        inputs: (C, P, K).
+        targets: (C, P, L).
+        fit: fits some of the clusters, (A, P, K) and (A, P, L), to targets of unit variance.
+    """
+    require_finite(inputs, targets)
+    scale, mean = target_scale(targets), targets.mean(dim=1)
+    rounding = (8.0 * torch.finfo(targets.dtype).eps) ** 2
+    varies = target_variance(targets) > rounding * targets.square().mean(dim=1).sum(dim=-1)
+    alive = varies.nonzero()[:, 0]
+    if len(alive) == 0:  # one is fitted all the same: for the shapes
+        alive = torch.zeros(1, dtype=torch.long, device=inputs.device)
+    part = fit(inputs[alive], targets[alive] / scale[alive])
+    sound = varies[alive] & torch.isfinite(part.loss)
+    for layer in (part.weight, part.bias, part.hidden_weight, part.hidden_bias):
+        if layer is not None:
+            sound &= torch.isfinite(layer).flatten(1).all(1)
+    fitted = alive[sound]
+
+    def everywhere(values: Tensor) -> Tensor:
+        whole = values.new_zeros(len(inputs), *values.shape[1:])
+        whole[fitted] = values[sound]
+        return whole
+
+    bias = mean.clone()
+    bias[fitted] = part.bias[sound] * scale[fitted, 0]
+    status = [CONSTANT] * len(inputs)
+    iterations = torch.zeros(len(inputs), dtype=torch.long)
+    for cluster, row, good in zip(alive.tolist(), range(len(alive)), sound.tolist(), strict=True):
+        if good:
+            status[cluster], iterations[cluster] = part.status[row], part.iterations[row]
+        elif bool(varies[cluster]):
+            status[cluster] = NOT_FINITE
+    return Fit(
+        everywhere(part.weight) * scale,
+        bias,
+        None if part.hidden_weight is None else everywhere(part.hidden_weight),
+        None if part.hidden_bias is None else everywhere(part.hidden_bias),
+        everywhere(part.loss),
+        iterations,
+        status,
+    )
 
 
 def fit_linear(inputs: Tensor, targets: Tensor, alpha: float) -> Fit:
-    """Ridge regression of targets (C, P, L) on inputs (C, P, K)."""
-    scale = target_scale(targets)
-    solution = ridge(inputs, targets / scale, alpha)
-    residual = with_ones(inputs) @ solution - targets / scale
-    loss = residual.square().sum(-1).mean(-1) + alpha * solution[:, :-1].square().sum((1, 2))
-    weight, bias = solution[:, :-1] * scale, solution[:, -1] * scale[:, 0]
-    done = torch.zeros(len(inputs), dtype=torch.long)
-    return Fit(weight, bias, None, None, loss, done, ["closed form"] * len(inputs))
+    """Ridge regression of targets (C, P, L) on inputs (C, P, K).
+
+    Raises:
+        PrtnetError: an input or a target is not finite.
+    """
+
+    def fit(x: Tensor, t: Tensor) -> Fit:
+        solution = ridge(x, t, alpha)
+        weight, bias = solution[:, :-1], solution[:, -1]
+        residual = with_ones(x) @ solution - t
+        loss = residual.square().sum(-1).mean(-1) + alpha * weight.square().sum((1, 2))
+        done = torch.zeros(len(x), dtype=torch.long)
+        return Fit(weight, bias, None, None, loss, done, [CLOSED_FORM] * len(x))
+
+    return fit_varying(inputs, targets, fit)
 
 
 def projected_objective(inputs: Tensor, targets: Tensor, neurons: int, alpha: float) -> Objective:
-    """σ with the best output layer, as a function of the flattened hidden layer (A, (K+1)·N)."""
+    """σ with the best output layer, as a function of the flattened hidden layer (A, (K+1)·N).
+
+    Large arrays are reused in place: fresh memory costs as much here as the arithmetic.
+    """
     full = with_ones(inputs)
     poses, width = full.shape[1:]
 
@@ -120,19 +211,81 @@ def projected_objective(inputs: Tensor, targets: Tensor, neurons: int, alpha: fl
         hidden = flat.view(len(flat), width, neurons)
         every = len(index) == len(full)
         x, t = (full, targets) if every else (full[index], targets[index])
-        activation = torch.tanh(x @ hidden)
-        output = ridge(activation, t, alpha)
-        residual = activation @ output[:, :-1] + output[:, -1:] - t
-        penalised = hidden[:, :-1]
-        value = residual.square().sum((1, 2)) / poses + alpha * (
-            output[:, :-1].square().sum((1, 2)) + penalised.square().sum((1, 2))
+        activation = with_ones((x @ hidden).tanh_())
+        output = solve_ridge(activation, t, alpha)
+        residual = torch.baddbmm(t, activation, output, beta=-1.0)
+        penalised, weights = hidden[:, :-1], output[:, :-1]
+        value = torch.linalg.vecdot(residual.flatten(1), residual.flatten(1)) / poses + alpha * (
+            weights.square().sum((1, 2)) + penalised.square().sum((1, 2))
         )
-        slope = (residual @ output[:, :-1].mT) * (1.0 - activation.square())
+        sensitivity = activation[..., :-1].square_().neg_().add_(1.0)  # of tanh
+        slope = (residual @ weights.mT).mul_(sensitivity)
         gradient = x.mT @ slope * (2.0 / poses)
         gradient[:, :-1] += 2.0 * alpha * penalised
         return value, gradient.reshape(len(flat), -1)
 
     return objective
+
+
+def start_near_ridge(x: Tensor, t: Tensor, neurons: int, generator: torch.Generator) -> Tensor:
+    """Flattened hidden layers (A, (K+1)·N) that already see what a line would.
+
+    Each neuron looks along a random mixture of the ridge regression's directions, and a little
+    elsewhere, where tanh hardly bends; random biases spread the neurons over its range. From here
+    half the iterations go as far as from random weights.
+    """
+    clusters, _, width = x.shape
+
+    def normal(*shape: int) -> Tensor:
+        drawn = torch.randn(clusters, *shape, generator=generator, dtype=torch.float64)
+        return drawn.to(x)
+
+    directions = ridge(x, t, START_ALPHA)[:, :-1] @ normal(t.shape[2], neurons)
+    spread = (x @ directions).square().mean(dim=1, keepdim=True).sqrt()
+    along = START_GAIN * directions / torch.where(spread > 0, spread, 1.0)
+    weights = along + START_ELSEWHERE * normal(width, neurons) / width**0.5
+    return torch.cat([weights, normal(1, neurons)], dim=1).flatten(1)
+
+
+def best_start(
+    objective: Objective,
+    starts: Sequence[Tensor],
+    iterations: int,
+    on_iteration: Callable[[int, Tensor], None] | None,
+) -> tuple[Tensor, Tensor]:
+    """Each problem's best of several starts after some iterations from each, and how many it took.
+
+    One start is handed back as it is.
+    """
+    if len(starts) == 1:
+        return starts[0], torch.zeros(len(starts[0]), dtype=torch.long)
+    tried = [
+        minimise(
+            objective,
+            start,
+            iterations=iterations,
+            on_iteration=None if on_iteration is None else shifted(on_iteration, k * iterations),
+        )
+        for k, start in enumerate(starts)
+    ]
+    values = torch.stack([result.value for result in tried]).nan_to_num(torch.inf)
+    best = values.argmin(dim=0)
+    points = torch.stack([result.x for result in tried])
+    taken = torch.stack([result.iterations for result in tried])
+    each = torch.arange(len(best), device=best.device)
+    return points[best, each], taken[best.cpu(), each.cpu()]
+
+
+def shifted(
+    on_iteration: Callable[[int, Tensor], None], offset: int
+) -> Callable[[int, Tensor], None]:
+    """The same, counting from ``offset``."""
+    return lambda iteration, values: on_iteration(iteration + offset, values)
+
+
+def total_iterations(iterations: int, restarts: int) -> int:
+    """How many iterations :func:`fit_neural` counts at most."""
+    return iterations if restarts == 1 else iterations + restarts * min(SCREENING, iterations)
 
 
 def fit_neural(
@@ -143,6 +296,7 @@ def fit_neural(
     iterations: int = 300,
     seed: int = 0,
     on_iteration: Callable[[int, Tensor], None] | None = None,
+    restarts: int = 1,
 ) -> Fit:
     """A tanh network per cluster (eq. 12), fitted by variable projection and L-BFGS.
 
@@ -153,23 +307,32 @@ def fit_neural(
         alpha: of eq. 13.
         iterations: of L-BFGS, at most.
         seed: of the starting weights.
-        on_iteration: called with the iteration's number and every cluster's objective (C,).
+        on_iteration: called with the iteration's number, below :func:`total_iterations`, and the
+            objective of every cluster that varies.
+        restarts: starts of which every cluster keeps the best after a few iterations.
+
+    Raises:
+        PrtnetError: an input or a target is not finite.
     """
-    clusters, _, width = inputs.shape
-    generator = torch.Generator().manual_seed(seed)
-    start = torch.randn(clusters, width + 1, neurons, generator=generator, dtype=torch.float64)
-    start = (start / width**0.5).to(inputs)
-    scale = target_scale(targets)
-    objective = projected_objective(inputs, targets / scale, neurons, alpha)
-    result = minimise(objective, start.flatten(1), iterations=iterations, on_iteration=on_iteration)
-    hidden = result.x.view(clusters, width + 1, neurons)
-    output = ridge(torch.tanh(with_ones(inputs) @ hidden), targets / scale, alpha)
-    return Fit(
-        output[:, :-1] * scale,
-        output[:, -1] * scale[:, 0],
-        hidden[:, :-1],
-        hidden[:, -1],
-        result.value,
-        result.iterations,
-        result.status,
-    )
+
+    def fit(x: Tensor, t: Tensor) -> Fit:
+        objective = projected_objective(x, t, neurons, alpha)
+        generator = torch.Generator().manual_seed(seed)
+        starts = [start_near_ridge(x, t, neurons, generator) for _ in range(restarts)]
+        screening = min(SCREENING, iterations)
+        start, before = best_start(objective, starts, screening, on_iteration)
+        offset = total_iterations(iterations, restarts) - iterations
+        result = minimise(
+            objective,
+            start,
+            iterations=iterations,
+            on_iteration=None if on_iteration is None else shifted(on_iteration, offset),
+        )
+        hidden = result.x.view(len(x), -1, neurons)
+        output = ridge(torch.tanh(with_ones(x) @ hidden), t, alpha)
+        return Fit(
+            output[:, :-1], output[:, -1], hidden[:, :-1], hidden[:, -1],
+            result.value, before + result.iterations, result.status,
+        )  # fmt: skip
+
+    return fit_varying(inputs, targets, fit)

@@ -22,7 +22,7 @@ from training.clusters import balanced_clusters, cluster_coordinates
 from training.config import TrainConfig
 from training.inputs import fit_joint_angles, fit_occluders, interior_edges
 from training.reduction import input_reduction, reduce_output
-from training.regression import Fit, average, fit_linear, fit_neural
+from training.regression import Fit, average, fit_linear, fit_neural, total_iterations
 from training.selection import Fold, choose_alpha, folds_over_clips
 
 __all__ = ["Monitor", "Silent", "train"]
@@ -190,22 +190,44 @@ def fit(data: Prepared, config: TrainConfig, alpha: float, watch: Monitor) -> li
     if config.kind != "neural" or data.targets.shape[2] == 0:
         return [fit_linear(data.inputs, data.targets, alpha)]
     fits = []
+    limit = total_iterations(config.iterations, config.restarts)
     for network in range(config.networks):
 
         def on_iteration(iteration: int, values: Tensor, network: int = network) -> None:
-            done = network * config.iterations + iteration + 1
             loss = float(values.mean())
-            watch.progress(done, config.networks * config.iterations, loss)
+            watch.progress(network * limit + iteration + 1, config.networks * limit, loss)
             watch.scalar(f"fit/objective_{network}", loss, iteration)
             if iteration % 25 == 0:
                 watch.histogram(f"fit/objective_{network}", values.cpu().numpy(), iteration)
 
-        seed = config.seed + network
-        size, limit = config.neurons, config.iterations
-        fitted = fit_neural(data.inputs, data.targets, size, alpha, limit, seed, on_iteration)
+        fitted = fit_neural(
+            data.inputs, data.targets, config.neurons, alpha, config.iterations,
+            config.seed + network, on_iteration, config.restarts,
+        )  # fmt: skip
         fits.append(fitted)
-        watch.histogram("fit/iterations", fitted.iterations.numpy(), network)
+        report_convergence(fitted, network, watch)
     return fits
+
+
+def report_convergence(fitted: Fit, network: int, watch: Monitor) -> None:
+    """How each cluster's fit of a network ended: by cluster, as histograms, and as counts."""
+    losses = fitted.loss.cpu().numpy()
+    watch.histogram("fit/iterations", fitted.iterations.numpy(), network)
+    watch.histogram("fit/final_objective", losses, network)
+    for text in sorted(set(fitted.status)):
+        watch.scalar(f"fit/{text.replace(' ', '_')}", fitted.status.count(text), network)
+    for cluster, (loss, taken) in enumerate(zip(losses, fitted.iterations.tolist(), strict=True)):
+        watch.scalar(f"fit/objective_{network}_by_cluster", float(loss), cluster)
+        watch.scalar(f"fit/iterations_{network}_by_cluster", taken, cluster)
+
+
+def convergence(fitted: Fit) -> dict[str, Any]:
+    """How each cluster's fit ended, for the model's header: clusters by status, iterations."""
+    clusters = {
+        text: [cluster for cluster, own in enumerate(fitted.status) if own == text]
+        for text in sorted(set(fitted.status))
+    }
+    return {"clusters": clusters, "iterations": fitted.iterations.tolist()}
 
 
 def to_regressor(fitted: Fit) -> Regressor:
@@ -236,6 +258,7 @@ def describe(
         "alpha": alpha,
         "cross_validation": {f"{a:g}": e for a, e in trials.items()},
         "fit_status": {text: status.count(text) for text in sorted(set(status))},
+        "fits": [convergence(fitted) for fitted in fits],
         "dropped_joints": [names[joint] for joint in still],
         "pose_size": int(dataset.pose_size),
         "scene_kind": dataset.scene_kind,

@@ -71,6 +71,13 @@ def test_metadata_tells_how_it_was_made(tmp_path):
     assert header["held_out"] == ["clip2"]
     assert 0 < header["training_error"]["rms"] < header["held_out_error"]["rms"]
     assert sum(header["fit_status"].values()) == 4
+    (convergence,) = header["fits"]
+    counts = {text: len(clusters) for text, clusters in convergence["clusters"].items()}
+    assert counts == header["fit_status"]
+    listed = [c for clusters in convergence["clusters"].values() for c in clusters]
+    assert sorted(listed) == [0, 1, 2, 3]
+    assert len(convergence["iterations"]) == 4
+    assert 0 < max(convergence["iterations"]) <= 40
     assert set(header["seconds"]) == {"fit", "total"}
 
 
@@ -96,7 +103,14 @@ def test_tensorboard_holds_scalars_and_histograms(tmp_path):
     events.Reload()
     tags = events.Tags()
     assert {"error/held_out", "fit/objective_0"} <= set(tags["scalars"])
-    assert "error/held_out_by_receiver" in tags["histograms"]
+    assert {"error/held_out_by_receiver", "fit/iterations"} <= set(tags["histograms"])
+    assert [e.step for e in events.Scalars("fit/iterations_0_by_cluster")] == [0, 1, 2, 3]
+    ended = [
+        tag
+        for tag in ("converged", "stalled", "iteration_limit")
+        if f"fit/{tag}" in tags["scalars"]
+    ]
+    assert sum(events.Scalars(f"fit/{tag}")[0].value for tag in ended) == 4
     assert [e.value for e in events.Scalars("fit/objective_0")] == pytest.approx(
         [value for _, value in watch.scalars["fit/objective_0"]], rel=1e-6
     )
@@ -107,6 +121,7 @@ def test_tensorboard_holds_scalars_and_histograms(tmp_path):
     ("options", "told"),
     [
         ({"clusters": 0}, "--clusters: must be at least 1"),
+        ({"restarts": 0}, "--restarts: must be at least 1"),
         ({"feature_order": 4}, "--feature-order: must be at most 3"),
         ({"output_variance": 1.5}, "--output-variance"),
         ({"alpha": -1.0}, "--alpha: must be a finite number"),

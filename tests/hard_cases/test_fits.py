@@ -1,0 +1,167 @@
+"""Fits that have too little, too much or nothing finite to go by."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+import torch
+
+from prtnet.errors import PrtnetError
+from tests.hard_cases.test_training import fitted
+from tests.models import random_poses
+from tests.training.data import memory_dataset
+from tests.training.test_regression import problem
+from tests.training.test_train import SMALL
+from training import regression
+from training.regression import fit_linear, fit_neural
+from training.train import train
+
+FITS = [fit_linear, lambda x, t, alpha: fit_neural(x, t, 6, alpha, iterations=15)]
+KINDS = list(itertools.product(["linear", "neural"], ["joint_angles", "occluders"]))
+HALF = float(np.finfo(np.float16).max)
+
+
+@pytest.mark.parametrize("fit", FITS, ids=["linear", "neural"])
+@pytest.mark.parametrize("level", [0.0, 3.5449077, 1e-20, 1e6])
+def test_constant_clusters_are_left_out(fit, level, monkeypatch):
+    """They predict their constant, and the others are fitted as if they were not there."""
+    x, t = problem(clusters=4, dtype=torch.float32)
+    t[1] = level
+    seen = []
+    solve = regression.solve_ridge
+
+    def spy(full, targets, alpha):
+        seen.append(len(full))
+        return solve(full, targets, alpha)
+
+    monkeypatch.setattr(regression, "solve_ridge", spy)
+    result = fit(x, t, 1e-3)
+    assert max(seen) == 3
+    assert torch.equal(result(x)[1], t[1].mean(0).expand_as(t[1]))
+    assert result.status[1] == "constant"
+    assert int(result.iterations[1]) == 0
+    others = [0, 2, 3]
+    alone = fit(x[others], t[others], 1e-3)
+    assert torch.equal(result(x)[others], alone(x[others]))
+
+
+@pytest.mark.parametrize("fit", FITS, ids=["linear", "neural"])
+def test_nothing_varies(fit):
+    x, t = problem(clusters=2)
+    result = fit(x, torch.zeros_like(t), 1e-3)
+    assert (result(x) == 0).all()
+    assert result.status == ["constant"] * 2
+
+
+@pytest.mark.parametrize("fit", FITS, ids=["linear", "neural"])
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+@pytest.mark.parametrize("which", ["inputs", "targets"])
+def test_numbers_that_are_not_finite_are_told(fit, bad, which):
+    x, t = problem()
+    (x if which == "inputs" else t)[2, 5, 1] = bad
+    with pytest.raises(PrtnetError, match=f"training data: cluster 2 has {which} that are not"):
+        fit(x, t, 1e-3)
+
+
+@pytest.mark.parametrize("fit", FITS, ids=["linear", "neural"])
+def test_a_fit_that_overflows_harms_no_other_and_predicts_the_mean(fit):
+    """Inputs whose squares exceed float32."""
+    x, t = problem(dtype=torch.float32)
+    x[1] *= 1e30
+    result = fit(x, t, 1e-3)
+    assert result.status[1] == "not finite"
+    assert torch.allclose(result(x)[1], t[1].mean(0).expand_as(t[1]))
+    others = [0, 2]
+    without = x.clone()
+    without[1] = 0.0
+    expected = fit(without, t, 1e-3)(without)[others]
+    assert torch.allclose(result(x)[others], expected, atol=1e-2)  # batches round differently
+
+
+@pytest.mark.parametrize("fit", FITS, ids=["linear", "neural"])
+@pytest.mark.parametrize("alpha", [0.0, 1e-3])
+def test_rank_deficient_cluster_among_sound_ones(fit, alpha):
+    """All inputs of one cluster are the same column: the others' fit is as good as alone."""
+    x, t = problem(dtype=torch.float32)
+    x[0] = x[0, :, :1]
+    result = fit(x, t, alpha)
+    assert torch.isfinite(result(x)).all()
+    assert result.weight.abs().max() < 1e3
+    signal = (t - t.mean(1, keepdim=True)).square().sum((1, 2))
+    assert ((result(x) - t).square().sum((1, 2)) < signal).all()
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_a_joint_that_moves_only_in_held_out_clips(kind, features):
+    data = memory_dataset()
+    poses = data.read("pose").reshape(-1, 4, 3, 4)
+    seen, unseen = data.training_poses(), data.held_out_poses()
+    poses[seen, 2, :, :3] = poses[seen, 1, :, :3]  # at rest on its parent
+    model = fitted(data, kind, features)
+    if features == "joint_angles":
+        assert model.metadata["dropped_joints"] == ["joint2"]
+        still = poses[unseen].copy()
+        still[:, 3, :, :3] = still[:, 2, :, :3]  # what joint 3 tells is told relative to joint 2
+        moved = still.copy()
+        turn = np.diag([1.0, -1.0, -1.0]).astype(np.float32)
+        moved[:, 2:, :, :3] = moved[:, 2:, :, :3] @ turn
+        told = [model(p.reshape(len(unseen), -1)) for p in (still, moved)]
+        assert np.allclose(*told, atol=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_lit_and_dark_clusters_beside_others(kind, features):
+    data = memory_dataset()
+    levels = {0: 3.5449, 1: 0.0}
+    owner = np.arange(60) * 4 // 60
+    for joint, level in levels.items():
+        data.read("visibility")[:, owner == joint] = level
+    model = fitted(data, kind, features)
+    constant = [c for c, own in enumerate(model.latents) if own == 0]
+    assert len(constant) >= 1
+    for cluster in constant:
+        own = model.receivers[cluster][model.receivers[cluster] >= 0]
+        predicted, truth = model(data.read("pose"))[:, own], data.read("visibility")[:, own]
+        assert np.allclose(predicted, truth, atol=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_inputs_ten_times_outside_the_training_range(kind, features):
+    data = memory_dataset()
+    model = fitted(data, kind, features)
+    pose = data.read("pose")
+    assert np.isfinite(model(pose.mean(0) + 10.0 * (pose - pose.mean(0)))).all()
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+@pytest.mark.parametrize("extreme", [HALF, -HALF, 6e-8, 1e-40])
+def test_half_precision_extremes(kind, features, extreme):
+    """The largest and the subnormal numbers of float16, and a subnormal of float32."""
+    data = memory_dataset()
+    data.read("pose")[1::3, 7::12] = extreme
+    data.read("visibility")[::2, 3] = extreme
+    model = train(data, dataclasses.replace(SMALL, kind=kind, features=features))
+    assert np.isfinite(model(data.read("pose"))).all()
+    assert np.isfinite(model(random_poses(5, 4, seed=9))).all()
+
+
+def test_restarts_keep_the_best():
+    """Per cluster: each goes on from the start that was best for it."""
+    x, t = problem(clusters=6, poses=40, inputs=6, latents=3)
+    objective = regression.projected_objective(x, t / regression.target_scale(t), 4, 1e-3)
+    generator = torch.Generator().manual_seed(0)
+    starts = [torch.randn(6, 28, generator=generator, dtype=x.dtype) for _ in range(4)]
+    best, _ = regression.best_start(objective, starts, 10, None)
+    each = [regression.minimise(objective, start, iterations=10).value for start in starts]
+    everyone = torch.arange(6)
+    assert torch.equal(objective(best, everyone)[0], torch.stack(each).amin(0))
+    assert len(torch.stack(each).argmin(0).unique()) > 1  # no one start is best for all
+    short, long = (fit_neural(x, t, 4, 1e-3, count, restarts=3) for count in (1, 60))
+    assert (long.loss <= short.loss).all()
+    steps = []
+    fit_neural(x, t, 4, 1e-3, 5, on_iteration=lambda i, _: steps.append(i), restarts=3)
+    assert steps == list(range(20))
+    assert regression.total_iterations(5, 3) == 20
