@@ -12,13 +12,14 @@ import numpy as np
 import onnx
 
 from prtnet import sh
-from prtnet.arrays import FloatArray, IntArray
+from prtnet.arrays import FloatArray
 from prtnet.features import FULL_FOLD, SMALLEST, DihedralAngles, Features, JointAngles, Occluders
 from prtnet.files import writing
 from prtnet.model import VisibilityModel
 from training.onnx_graph import GraphBuilder
+from training.reconstruction import LatentLayer, latent_layer, visibility_nodes
 
-__all__ = ["build_onnx", "export_onnx"]
+__all__ = ["build_latent_onnx", "build_onnx", "export_latent_onnx", "export_onnx"]
 
 
 def joint_matrices(graph: GraphBuilder, joints: int) -> str:
@@ -219,10 +220,10 @@ def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> st
     return graph.node("Concat", value, copies, axis=2)
 
 
-def first_layer_nodes(
-    graph: GraphBuilder, model: VisibilityModel, value: str, first: FloatArray, order: IntArray
+def linear_nodes(
+    graph: GraphBuilder, model: VisibilityModel, value: str, weight: FloatArray
 ) -> str:
-    """(P, C, 1, N): features through the input PCA and the first layer, clusters in ``order``."""
+    """(P, C, 1, N): features through the input PCA and one more matrix (C, K, N)."""
     size = model.input_mean.shape[1]
     mean: FloatArray = model.input_mean.astype(np.float64)
     basis = model.input_basis.astype(np.float64)
@@ -230,87 +231,74 @@ def first_layer_nodes(
         value = graph.reshape(value, [-1, 1, 1, size])
         centred = graph.node("Sub", value, graph.constant(mean[0]))
         reduced = graph.node("MatMul", centred, graph.constant(basis[0]))
-        return graph.node("MatMul", reduced, graph.constant(first[order]))
+        return graph.node("MatMul", reduced, graph.constant(weight))
     # Everything linear in a cluster's features is one matrix.
     caps = model.features.point.shape[1] * model.features.order**2
     linear: FloatArray = np.eye(size)
     linear[:caps, :caps] = np.kron(
         np.eye(model.features.point.shape[1]), band_map(model.features.order)
     )
-    value = graph.reshape(value, [-1, len(order), 1, size])
-    if not np.array_equal(order, np.arange(len(order))):
-        value = graph.node("Gather", value, graph.constant(order), axis=1)
-    mean = np.linalg.solve(linear.T, mean[order][..., None])[..., 0]
+    value = graph.reshape(value, [-1, len(mean), 1, size])
+    mean = np.linalg.solve(linear.T, mean[..., None])[..., 0]
     centred = graph.node("Sub", value, graph.constant(mean[:, None]))
-    return graph.node("MatMul", centred, graph.constant(linear @ basis[order] @ first[order]))
+    return graph.node("MatMul", centred, graph.constant(linear @ basis @ weight))
 
 
-def reconstruction_nodes(
-    graph: GraphBuilder,
-    model: VisibilityModel,
-    value: str,
-    weight: FloatArray,
-    bias: FloatArray,
-    order: IntArray,
-) -> None:
-    """From the last layer's inputs (P, C, 1, N), clusters in ``order``, to ``visibility``.
-
-    Clusters of equally many latents form one batched product. A last latent that is always one
-    carries the mean.
-    """
-    counts = model.latents[order]
-    starts = np.concatenate([[0], np.cumsum(model.latents)])
-    parts = []
-    for count in np.unique(counts):
-        inside = np.flatnonzero(counts == count)  # contiguous: ``order`` sorts by count
-        clusters = order[inside]
-        own = value
-        if len(inside) < len(order):
-            own = graph.slice(value, int(inside[0]), int(inside[-1]) + 1, 1)
-        to_latent = np.zeros((len(clusters), weight.shape[1], count + 1))
-        to_latent[..., :count] = weight[clusters, :, :count]
-        shift = np.ones((len(clusters), 1, count + 1))
-        shift[:, 0, :count] = bias[clusters, :count]
-        latent = graph.node("MatMul", own, graph.constant(to_latent))
-        latent = graph.node("Add", latent, graph.constant(shift))
-        basis = np.stack(
-            [
-                np.concatenate([model.basis[starts[c] : starts[c] + count], model.mean[c : c + 1]])
-                for c in clusters
-            ]
-        )
-        slots = graph.node("MatMul", latent, graph.constant(basis))
-        size = len(clusters) * model.receivers.shape[1]
-        parts.append(graph.reshape(slots, [-1, size, model.order**2]))
-    every = parts[0] if len(parts) == 1 else graph.node("Concat", *parts, axis=1)
-    position = np.empty_like(order)
-    position[order] = np.arange(len(order))
-    cluster, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
-    index = position[cluster] * model.receivers.shape[1] + slot
-    graph.node("Gather", every, graph.constant(index), axis=1, output="visibility")
+def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer) -> str:
+    """(P, C · M) every cluster's latents, of the pose."""
+    regressor = model.regressor
+    value = feature_nodes(graph, model.features, model.pose_size)
+    if regressor.hidden_weight is None or regressor.hidden_bias is None:
+        value = linear_nodes(graph, model, value, layer.weight)
+    else:
+        value = linear_nodes(graph, model, value, regressor.hidden_weight.astype(np.float64))
+        shift = graph.constant(regressor.hidden_bias[:, None])
+        value = graph.node("Tanh", graph.node("Add", value, shift))
+        value = graph.node("MatMul", value, graph.constant(layer.weight))
+    value = graph.node("Add", value, graph.constant(layer.bias))
+    return graph.reshape(value, [-1, layer.bias.size])
 
 
 def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
     """The model as a checked graph: ``pose`` (poses, D) in, ``visibility`` (poses, V, n²) out."""
     graph = GraphBuilder()
-    order = np.argsort(model.latents, kind="stable")
-    regressor = model.regressor
-    value = feature_nodes(graph, model.features, model.pose_size)
-    first = regressor.weight if regressor.hidden_weight is None else regressor.hidden_weight
-    value = first_layer_nodes(graph, model, value, first.astype(np.float64), order)
-    weight, bias = regressor.weight, regressor.bias
-    if regressor.hidden_weight is not None and regressor.hidden_bias is not None:
-        shift = regressor.hidden_bias[order][:, None]
-        value = graph.node("Tanh", graph.node("Add", value, graph.constant(shift)))
-    else:  # the latents are there already
-        weight = np.broadcast_to(np.eye(weight.shape[2]), (len(order), *2 * weight.shape[2:]))
-    reconstruction_nodes(graph, model, value, weight, bias, order)
+    layer = latent_layer(model)
+    visibility_nodes(graph, model, layer, latent_nodes(graph, model, layer))
     shape = [model.receiver_count, model.order**2]
-    return graph.model(model.pose_size, shape, {"prtnet": "visibility", "kind": model.kind})
+    return graph.model(
+        model.pose_size, "visibility", shape, {"prtnet": "visibility", "kind": model.kind}
+    )
+
+
+def build_latent_onnx(model: VisibilityModel, scale: FloatArray) -> onnx.ModelProto:
+    """A checked graph of the latents alone: ``pose`` (poses, D) in, ``latents`` (poses, Σ) out.
+
+    Args:
+        model: with at least one latent.
+        scale: each latent is multiplied by it, (Σ latents,).
+    """
+    graph = GraphBuilder()
+    layer = latent_layer(model)
+    flat = latent_nodes(graph, model, layer)
+    own = [first + np.arange(n) for first, n in zip(layer.first, model.latents, strict=True)]
+    value = graph.node("Gather", flat, graph.constant(np.concatenate(own)), axis=1)
+    graph.node("Mul", value, graph.constant(scale), output="latents")
+    return graph.model(
+        model.pose_size, "latents", [len(scale)], {"prtnet": "latents", "kind": model.kind}
+    )
 
 
 def export_onnx(model: VisibilityModel, path: str | Path) -> None:
     """Write :func:`build_onnx` to a file, whole or not at all."""
-    proto = build_onnx(model)
+    write_graph(build_onnx(model), path)
+
+
+def export_latent_onnx(model: VisibilityModel, scale: FloatArray, path: str | Path) -> None:
+    """Write :func:`build_latent_onnx` to a file, whole or not at all."""
+    write_graph(build_latent_onnx(model, scale), path)
+
+
+def write_graph(proto: onnx.ModelProto, path: str | Path) -> None:
+    """Write a graph to a file, whole or not at all."""
     with writing(path) as partial:
         onnx.save(proto, partial)

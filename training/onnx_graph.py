@@ -20,14 +20,16 @@ __all__ = ["OPSET", "PORTABLE", "GraphBuilder"]
 OPSET = 15
 PORTABLE = frozenset(
     (
-        *("Add", "Clip", "Concat", "Div", "Gather", "MatMul", "Mul", "ReduceSum", "Reshape"),
-        *("Slice", "Sqrt", "Sub", "Tanh", "Transpose"),
+        *("Add", "Cast", "Clip", "Concat", "Div", "Gather", "MatMul", "Mul", "ReduceSum"),
+        *("Reshape", "Slice", "Sqrt", "Sub", "Tanh", "Transpose"),
     )
 )
 
 
 class GraphBuilder:
     """Nodes and constants of one graph; values are known by their names."""
+
+    FLOAT = TensorProto.FLOAT
 
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
@@ -37,8 +39,12 @@ class GraphBuilder:
         """A float32 or int64 initializer."""
         value = np.asarray(array)
         dtype = np.int64 if np.issubdtype(value.dtype, np.integer) else np.float32
+        return self.stored(value.astype(dtype))
+
+    def stored(self, array: Any) -> str:
+        """An initializer of the array's own type."""
         name = f"constant_{len(self.constants)}"
-        value = np.ascontiguousarray(value.astype(dtype)).reshape(value.shape)
+        value = np.ascontiguousarray(array).reshape(array.shape)
         self.constants.append(numpy_helper.from_array(value, name))
         return name
 
@@ -73,14 +79,12 @@ class GraphBuilder:
         return self.node("Clip", value, *bounds)
 
     def model(
-        self, input_size: int, output_shape: Sequence[int], description: dict[str, str]
+        self, input_size: int, output: str, shape: Sequence[int], description: dict[str, str]
     ) -> onnx.ModelProto:
-        """The checked model: input ``pose`` (poses, D), output ``visibility`` (poses, V, n²)."""
+        """The checked model: input ``pose`` (poses, D), output (poses, …)."""
         pose = helper.make_tensor_value_info("pose", TensorProto.FLOAT, ["poses", input_size])
-        visibility = helper.make_tensor_value_info(
-            "visibility", TensorProto.FLOAT, ["poses", *output_shape]
-        )
-        graph = helper.make_graph(self.nodes, "prtnet", [pose], [visibility], self.constants)
+        result = helper.make_tensor_value_info(output, TensorProto.FLOAT, ["poses", *shape])
+        graph = helper.make_graph(self.nodes, "prtnet", [pose], [result], self.constants)
         model = helper.make_model(
             graph,
             opset_imports=[helper.make_opsetid("", OPSET)],

@@ -1,0 +1,96 @@
+"""The end of every graph: from a cluster's last layer to latents, and from those to visibility.
+
+Latents of all groups of receivers come out of one batched product, in one flat vector. Groups with
+equally many latents are then rebuilt by one batched product each; a last latent that is always one
+carries their mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from prtnet.arrays import FloatArray, IntArray
+from prtnet.model import VisibilityModel
+from training.onnx_graph import GraphBuilder
+
+__all__ = ["LatentLayer", "latent_layer", "visibility_nodes"]
+
+
+@dataclass(frozen=True, eq=False)
+class LatentLayer:
+    """The layer that gives every cluster's latents, and where to find them.
+
+    Attributes:
+        weight, bias: (C, N or K, M) and (C, 1, M) float64: the latents of a cluster's groups side
+            by side, then zeros, then a one in the last column.
+        first: where each group's latents begin in the flattened (C · M), (G,).
+        one: where there is a one.
+    """
+
+    weight: FloatArray
+    bias: FloatArray
+    first: IntArray
+    one: int
+
+
+def latent_layer(model: VisibilityModel) -> LatentLayer:
+    """The last layer of the model's regressor."""
+    groups, inner, _ = model.regressor.weight.shape
+    cluster, part = np.divmod(np.arange(groups), model.parts)
+    clusters = groups // model.parts
+    counts = model.latents.reshape(clusters, model.parts)
+    before = np.cumsum(counts, axis=1) - counts
+    width = int(counts.sum(axis=1).max()) + 1
+    weight, bias = np.zeros((clusters, inner, width)), np.zeros((clusters, 1, width))
+    bias[..., -1] = 1.0
+    for group in range(groups):
+        own = before[cluster[group], part[group]] + np.arange(model.latents[group])
+        weight[cluster[group]][:, own] = model.regressor.weight[group, :, : len(own)]
+        bias[cluster[group], 0, own] = model.regressor.bias[group, : len(own)]
+    return LatentLayer(weight, bias, cluster * width + before.ravel(), width - 1)
+
+
+def visibility_nodes(
+    graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer, latents: str
+) -> None:
+    """``visibility`` (P, V, n²) of flat latents (P, C · M)."""
+    order = np.argsort(model.latents, kind="stable")
+    parts = []
+    for count in np.unique(model.latents):
+        groups = order[model.latents[order] == count]
+        index = np.full((len(groups), 1, count + 1), layer.one)
+        index[:, 0, :count] = layer.first[groups, None] + np.arange(count)
+        own = graph.node("Gather", latents, graph.constant(index), axis=1)
+        slots = graph.node("MatMul", own, row_nodes(graph, model, groups, int(count)))
+        size = len(groups) * model.receivers.shape[1]
+        parts.append(graph.reshape(slots, [-1, size, model.order**2]))
+    every = parts[0] if len(parts) == 1 else graph.node("Concat", *parts, axis=1)
+    position = np.empty_like(order)
+    position[order] = np.arange(len(order))
+    group, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
+    place = position[group] * model.receivers.shape[1] + slot
+    graph.node("Gather", every, graph.constant(place), axis=1, output="visibility")
+
+
+def row_nodes(graph: GraphBuilder, model: VisibilityModel, groups: IntArray, count: int) -> str:
+    """(G', count + 1, R · n²) the groups' components, then their means, as they are stored."""
+    starts = np.cumsum(model.latents) - model.latents
+    rows = starts[groups, None] + np.arange(count)  # [G', count]
+    basis, mean = model.stored("basis"), model.stored("mean")
+    values = np.concatenate([basis.values[rows], mean.values[groups][:, None]], axis=1)
+    if model.storage == "float32":
+        return graph.constant(values)
+    coefficients = model.order**2
+    scale = np.empty((len(groups), count + 1, 1, coefficients))
+    scale[:, :count, 0] = basis.scale[rows]
+    scale[:, count, 0] = mean.scale
+    offset = np.zeros((1, count + 1, 1, coefficients))
+    if mean.offset is not None:
+        offset[0, count] = mean.offset
+    shape = [len(groups), count + 1, -1, coefficients]
+    value = graph.reshape(graph.node("Cast", graph.stored(values), to=graph.FLOAT), shape)
+    value = graph.node("Mul", value, graph.constant(scale))
+    value = graph.node("Add", value, graph.constant(offset))
+    return graph.reshape(value, [len(groups), count + 1, values.shape[-1]])
