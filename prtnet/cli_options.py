@@ -10,6 +10,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from prtnet.errors import PrtnetError
+from prtnet.storage import Storage
 
 __all__ = [
     "Common",
@@ -93,6 +94,7 @@ class ExportOptions:
 
     model: Positional[Path]  # from prtnet train
     out: Path  # folder to write
+    storage: Storage | None = None  # of large arrays; the model's own when not given
 
 
 @dataclass(frozen=True)
