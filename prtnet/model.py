@@ -31,7 +31,6 @@ from prtnet.storage import (
     Stored,
     pack,
     quantise,
-    rounded,
     unpack,
 )  # fmt: skip
 
@@ -145,42 +144,45 @@ class VisibilityModel:
     def stored_as(self, storage: Storage) -> VisibilityModel:
         """The model whose arrays are rounded to what ``storage`` can hold."""
         model = dataclasses.replace(self, metadata={**self.metadata, "storage": storage})
-        packings = model.packings
-        large: dict[str, Any] = {
-            name: rounded(getattr(self, name), packings[name])
-            for name in ARRAYS
-            if name in packings
-        }
-        weights: dict[str, Any] = {
-            name: rounded(array, packings[f"regressor.{name}"])
-            for name, array in self.regressor.arrays().items()
-            if f"regressor.{name}" in packings
+        arrays: dict[str, Any] = {name: model.stored(name).array() for name in model.packings}
+        weights = {
+            name.removeprefix("regressor."): arrays.pop(name)
+            for name in list(arrays)
+            if name.startswith("regressor.")
         }
         regressor = dataclasses.replace(self.regressor, **weights)
-        return dataclasses.replace(model, regressor=regressor, **large)
+        return dataclasses.replace(model, regressor=regressor, **arrays)
 
     def stored(self, name: str) -> Stored:
-        """``mean`` or ``basis`` as it is stored."""
-        return quantise(getattr(self, name), self.packings.get(name, Packing("float32")))
+        """An array as it is stored, by its name in the file."""
+        owner, _, attribute = name.rpartition(".")
+        array = getattr(self.regressor if owner else self, attribute)
+        return quantise(array, self.packings.get(name, Packing("float32")))
 
     @property
     def packings(self) -> dict[str, Packing]:
-        """How each stored array is packed, by its name in the file.
+        """How each stored array is packed, by its name in the file; all else is float32.
 
-        Eight bits are for what is counted by receivers: components with a scale each, means as
-        deviations from open visibility with a scale a coefficient. All else is half precision.
+        In 8 bits components have a scale each, means one a coefficient, as deviations from open
+        visibility, and matrices one a column.
         """
         kind = self.storage
         if kind == "float32":
             return {}
-        half = Packing("float16", axis=(-2, -1))
         opened = np.zeros(self.order**2, dtype=np.float32)
         opened[0] = math.sqrt(4.0 * math.pi)
-        names = ("input_basis", "regressor.weight", "regressor.hidden_weight", "rest_tangents")
+        matrices = {"input_basis": self.input_basis, "regressor.weight": self.regressor.weight}
+        if self.regressor.hidden_weight is not None:
+            matrices["regressor.hidden_weight"] = self.regressor.hidden_weight
         return {
             "mean": Packing(kind, axis=(-2, -1), period=self.order**2, offset=opened),
             "basis": Packing(kind),
-            **dict.fromkeys(names, half),
+            "rest_tangents": Packing("float16", axis=(-2, -1)),
+            **{
+                name: Packing(kind, axis=(-2, -1), period=matrix.shape[-1])
+                for name, matrix in matrices.items()
+                if matrix.size > 0
+            },
         }
 
     def check_pose(self, poses: FloatArray) -> None:

@@ -16,6 +16,7 @@ from prtnet.arrays import FloatArray
 from prtnet.features import FULL_FOLD, SMALLEST, DihedralAngles, Features, JointAngles, Occluders
 from prtnet.files import writing
 from prtnet.model import VisibilityModel
+from prtnet.storage import Stored
 from training.onnx_graph import GraphBuilder
 from training.reconstruction import LatentLayer, latent_layer, visibility_nodes
 
@@ -220,18 +221,16 @@ def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> st
     return graph.node("Concat", value, copies, axis=2)
 
 
-def linear_nodes(
-    graph: GraphBuilder, model: VisibilityModel, value: str, weight: FloatArray
-) -> str:
+def linear_nodes(graph: GraphBuilder, model: VisibilityModel, value: str, weight: Stored) -> str:
     """(P, C, 1, N): features through the input PCA and one more matrix (C, K, N)."""
     size = model.input_mean.shape[1]
     mean: FloatArray = model.input_mean.astype(np.float64)
-    basis = model.input_basis.astype(np.float64)
+    basis = model.stored("input_basis")
     if not isinstance(model.features, Occluders):  # the same for all clusters: reduced once
         value = graph.reshape(value, [-1, 1, 1, size])
         centred = graph.node("Sub", value, graph.constant(mean[0]))
-        reduced = graph.node("MatMul", centred, graph.constant(basis[0]))
-        return graph.node("MatMul", reduced, graph.constant(weight))
+        reduced = graph.node("MatMul", centred, graph.stored(basis))
+        return graph.node("MatMul", reduced, graph.stored(weight))
     # Everything linear in a cluster's features is one matrix.
     caps = model.features.point.shape[1] * model.features.order**2
     linear: FloatArray = np.eye(size)
@@ -241,7 +240,11 @@ def linear_nodes(
     value = graph.reshape(value, [-1, len(mean), 1, size])
     mean = np.linalg.solve(linear.T, mean[..., None])[..., 0]
     centred = graph.node("Sub", value, graph.constant(mean[:, None]))
-    return graph.node("MatMul", centred, graph.constant(linear @ basis @ weight))
+    if model.storage == "float32":
+        product = linear @ basis.values.astype(np.float64) @ weight.values
+        return graph.node("MatMul", centred, graph.constant(product))
+    first = graph.node("MatMul", graph.constant(linear), graph.stored(basis))
+    return graph.node("MatMul", centred, graph.node("MatMul", first, graph.stored(weight)))
 
 
 def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer) -> str:
@@ -251,10 +254,11 @@ def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer
     if regressor.hidden_weight is None or regressor.hidden_bias is None:
         value = linear_nodes(graph, model, value, layer.weight)
     else:
-        value = linear_nodes(graph, model, value, regressor.hidden_weight.astype(np.float64))
+        hidden = model.stored("regressor.hidden_weight")
+        value = linear_nodes(graph, model, value, hidden)
         shift = graph.constant(regressor.hidden_bias[:, None])
         value = graph.node("Tanh", graph.node("Add", value, shift))
-        value = graph.node("MatMul", value, graph.constant(layer.weight))
+        value = graph.node("MatMul", value, graph.stored(layer.weight))
     value = graph.node("Add", value, graph.constant(layer.bias))
     return graph.reshape(value, [-1, layer.bias.size])
 

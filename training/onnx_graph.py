@@ -14,6 +14,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.storage import Stored
 
 __all__ = ["OPSET", "PORTABLE", "GraphBuilder"]
 
@@ -29,8 +30,6 @@ PORTABLE = frozenset(
 class GraphBuilder:
     """Nodes and constants of one graph; values are known by their names."""
 
-    FLOAT = TensorProto.FLOAT
-
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
         self.constants: list[onnx.TensorProto] = []
@@ -39,14 +38,28 @@ class GraphBuilder:
         """A float32 or int64 initializer."""
         value = np.asarray(array)
         dtype = np.int64 if np.issubdtype(value.dtype, np.integer) else np.float32
-        return self.stored(value.astype(dtype))
+        return self.initializer(value.astype(dtype))
 
-    def stored(self, array: Any) -> str:
+    def initializer(self, array: Any) -> str:
         """An initializer of the array's own type."""
         name = f"constant_{len(self.constants)}"
         value = np.ascontiguousarray(array).reshape(array.shape)
         self.constants.append(numpy_helper.from_array(value, name))
         return name
+
+    def stored(self, stored: Stored) -> str:
+        """The float32 array of a stored one: a few nodes on constants, for runtimes to fold."""
+        if stored.values.dtype == np.float32:
+            return self.constant(stored.values)
+        shape, period = stored.values.shape, stored.scale.shape[-1]
+        value = self.node("Cast", self.initializer(stored.values), to=TensorProto.FLOAT)
+        if period > 1:
+            value = self.reshape(value, [*shape[:-1], shape[-1] // period, period])
+        scale = stored.scale[..., None, :] if period > 1 else stored.scale
+        value = self.node("Mul", value, self.constant(scale))
+        if stored.offset is not None:
+            value = self.node("Add", value, self.constant(stored.offset))
+        return self.reshape(value, shape) if period > 1 else value
 
     def node(
         self, operator: str, *inputs: str, output: str | None = None, **attributes: Any

@@ -13,6 +13,7 @@ import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.model import VisibilityModel
+from prtnet.storage import Stored
 from training.onnx_graph import GraphBuilder
 
 __all__ = ["LatentLayer", "latent_layer", "visibility_nodes"]
@@ -23,13 +24,13 @@ class LatentLayer:
     """The layer that gives every cluster's latents, and where to find them.
 
     Attributes:
-        weight, bias: (C, N or K, M) and (C, 1, M) float64: the latents of a cluster's groups side
-            by side, then zeros, then a one in the last column.
+        weight, bias: (C, N or K, M) as stored and (C, 1, M): the latents of a cluster's groups
+            side by side, then zeros, then a one in the last column.
         first: where each group's latents begin in the flattened (C · M), (G,).
         one: where there is a one.
     """
 
-    weight: FloatArray
+    weight: Stored
     bias: FloatArray
     first: IntArray
     one: int
@@ -37,19 +38,24 @@ class LatentLayer:
 
 def latent_layer(model: VisibilityModel) -> LatentLayer:
     """The last layer of the model's regressor."""
-    groups, inner, _ = model.regressor.weight.shape
-    cluster, part = np.divmod(np.arange(groups), model.parts)
+    stored = model.stored("regressor.weight")
+    groups, inner, most = stored.values.shape
     clusters = groups // model.parts
+    cluster = np.arange(groups) // model.parts
     counts = model.latents.reshape(clusters, model.parts)
-    before = np.cumsum(counts, axis=1) - counts
+    before = (np.cumsum(counts, axis=1) - counts).ravel()
     width = int(counts.sum(axis=1).max()) + 1
-    weight, bias = np.zeros((clusters, inner, width)), np.zeros((clusters, 1, width))
+    values = np.zeros((clusters, inner, width), dtype=stored.values.dtype)
+    scale = np.ones((clusters, 1, width), dtype=np.float32)
+    bias = np.zeros((clusters, 1, width))
     bias[..., -1] = 1.0
-    for group in range(groups):
-        own = before[cluster[group], part[group]] + np.arange(model.latents[group])
-        weight[cluster[group]][:, own] = model.regressor.weight[group, :, : len(own)]
-        bias[cluster[group], 0, own] = model.regressor.bias[group, : len(own)]
-    return LatentLayer(weight, bias, cluster * width + before.ravel(), width - 1)
+    every = np.broadcast_to(stored.scale, (groups, 1, most))
+    for group, count in enumerate(model.latents):
+        own = slice(before[group], before[group] + count)
+        values[cluster[group], :, own] = stored.values[group, :, :count]
+        scale[cluster[group], 0, own] = every[group, 0, :count]
+        bias[cluster[group], 0, own] = model.regressor.bias[group, :count]
+    return LatentLayer(Stored(values, scale), bias, cluster * width + before, width - 1)
 
 
 def visibility_nodes(
@@ -71,7 +77,8 @@ def visibility_nodes(
     position[order] = np.arange(len(order))
     group, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
     place = position[group] * model.receivers.shape[1] + slot
-    graph.node("Gather", every, graph.constant(place), axis=1, output="visibility")
+    receivers = graph.initializer(place.astype(np.int32))
+    graph.node("Gather", every, receivers, axis=1, output="visibility")
 
 
 def row_nodes(graph: GraphBuilder, model: VisibilityModel, groups: IntArray, count: int) -> str:
@@ -79,18 +86,10 @@ def row_nodes(graph: GraphBuilder, model: VisibilityModel, groups: IntArray, cou
     starts = np.cumsum(model.latents) - model.latents
     rows = starts[groups, None] + np.arange(count)  # [G', count]
     basis, mean = model.stored("basis"), model.stored("mean")
-    values = np.concatenate([basis.values[rows], mean.values[groups][:, None]], axis=1)
+    means = Stored(mean.values[groups][:, None], mean.scale[None], mean.offset)
+    if count == 0:
+        return graph.stored(means)
+    every = Stored(basis.values[rows], np.broadcast_to(basis.scale, (len(basis.values), 1))[rows])
     if model.storage == "float32":
-        return graph.constant(values)
-    coefficients = model.order**2
-    scale = np.empty((len(groups), count + 1, 1, coefficients))
-    scale[:, :count, 0] = basis.scale[rows]
-    scale[:, count, 0] = mean.scale
-    offset = np.zeros((1, count + 1, 1, coefficients))
-    if mean.offset is not None:
-        offset[0, count] = mean.offset
-    shape = [len(groups), count + 1, -1, coefficients]
-    value = graph.reshape(graph.node("Cast", graph.stored(values), to=graph.FLOAT), shape)
-    value = graph.node("Mul", value, graph.constant(scale))
-    value = graph.node("Add", value, graph.constant(offset))
-    return graph.reshape(value, [len(groups), count + 1, values.shape[-1]])
+        return graph.constant(np.concatenate([every.values, means.values], axis=1))
+    return graph.node("Concat", graph.stored(every), graph.stored(means), axis=1)
