@@ -106,7 +106,8 @@ def reduce_output(
             _, found = scipy.linalg.eigh(gram, subset_by_index=(last + 1 - count, last))
             rows = found.T[::-1]
             if poses <= width:  # components = Vᵀ X / √(P λ): orthonormal rows
-                rows = (rows @ block) / np.sqrt(poses * values[cluster, :count, None])
+                scale = 1.0 / np.sqrt(poses * np.maximum(values[cluster, :count, None], 1e-300))
+                rows = (rows @ block) * scale
         basis.append(rows.astype(np.float32))
         targets[cluster, :, :count] = block @ basis[-1].T
     return OutputReduction(mean, basis, latents, targets)

@@ -24,6 +24,7 @@ from training.inputs import fit_joint_angles, fit_occluders, interior_edges
 from training.reduction import input_reduction, reduce_output
 from training.regression import Fit, average, fit_linear, fit_neural
 from training.selection import Fold, choose_alpha, folds_over_clips
+from training.signal_groups import regroup
 
 __all__ = ["Monitor", "Silent", "train"]
 
@@ -91,8 +92,9 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
     slots = balanced_clusters(coordinates, config.clusters, config.seed)
     latents = 0.0 if config.kind == "constant" else config.latents
-    groups = subdivide(slots, coordinates, config.parts, config.seed)
     latents /= config.parts
+    groups = subdivide(slots, coordinates, config.parts, config.seed)
+    groups = regroup(visibility, groups, config.parts, round(min(latents, len(rows))))
     output = reduce_output(visibility, groups, config.output_variance, latents, config.step)
     del visibility
 
