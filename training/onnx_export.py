@@ -120,6 +120,7 @@ def near_nodes(graph: GraphBuilder, features: Occluders) -> tuple[str, str]:
     return graph.node("Sub", graph.node("MatMul", inverse, columns), shift), own
 
 
+RAW = {1: 1, 2: 5, 3: 15}  # numbers a point, by order
 QUADRATIC = np.triu_indices(3)  # x², xy, xz, y², yz, z²
 
 
@@ -159,11 +160,11 @@ def recentred(point: FloatArray) -> FloatArray:
 
 
 def occluder_nodes(graph: GraphBuilder, features: Occluders) -> str:
-    """(P, C, M · order²): for each point Σ w_0, Σ w_1 a, Σ w_2 h(a) over spheres at a from it.
+    """(P, C, M · RAW): for each point Σ w_0, Σ w_1 (1; c), Σ w_2 (1; c; c⊗c) over spheres at c.
 
-    w_l = I_l / |a|^l, with I_l the cap's integrals, is a function of the squared distance alone,
-    which is linear in the monomials of the centre; so are the sums, about the points' mean. Only
-    then are they moved to each point: few numbers.
+    w_l = I_l / |a|^l, with I_l the cap's integrals and a from the point to the centre, is a
+    function of the squared distance alone, which is linear in the monomials of the centre about
+    the points' mean. Moving the sums to each point is linear: see :func:`harmonics`.
     """
     clusters, points, _ = features.point.shape
     local, radius2 = near_nodes(graph, features)
@@ -188,22 +189,29 @@ def occluder_nodes(graph: GraphBuilder, features: Occluders) -> str:
     if features.order > 2:
         weights.append(graph.node("Div", graph.node("Mul", half, cosine), distance2))
     for degree, weight in enumerate(weights, start=1):
-        total = graph.total(weight, 3, keep=True)
         rows = monomials if degree == 2 else local
         sums = graph.node("MatMul", weight, graph.node("Transpose", rows, perm=[0, 1, 3, 2]))
-        if degree == 1:
-            bands.append(graph.node("Sub", sums, graph.node("Mul", total, graph.constant(point))))
-            continue
-        moments = graph.node("Concat", total, sums, axis=3)
-        moments = graph.reshape(moments, [-1, clusters, points, 1, 10])
-        weighed = graph.node("Mul", moments, graph.constant(recentred(point).swapaxes(2, 3)))
-        bands.append(graph.total(weighed, 4))
+        bands += [graph.total(weight, 3, keep=True), sums]
     every = graph.node("Concat", *bands, axis=3) if len(bands) > 1 else bands[0]
-    return graph.reshape(every, [-1, clusters, points * features.order**2])
+    return graph.reshape(every, [-1, clusters, points * RAW[features.order]])
+
+
+def harmonics(features: Occluders) -> FloatArray:
+    """(C, M, RAW, order²): what :func:`occluder_nodes` gives of a point, to its features."""
+    order, point = features.order, features.point.astype(np.float64)
+    point = point - point.mean(axis=1, keepdims=True)
+    moved = np.zeros((*point.shape[:2], RAW[order], order**2))
+    moved[..., 0, 0] = 1.0
+    if order > 1:
+        moved[..., 1, 1:4] = -point
+        moved[..., 2:5, 1:4] = np.eye(3)
+    if order > 2:
+        moved[..., 5:, 4:] = recentred(point)
+    return moved @ band_map(order)
 
 
 def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> str:
-    """(P, 1 or C, F) values, morph weights last; those of Occluders lack :func:`band_map`."""
+    """(P, 1 or C, F) values, morph weights last; those of Occluders lack :func:`harmonics`."""
     if isinstance(features, DihedralAngles):
         return dihedral_angle_nodes(graph, features, pose_size)
     if isinstance(features, JointAngles):
@@ -221,30 +229,46 @@ def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> st
     return graph.node("Concat", value, copies, axis=2)
 
 
-def linear_nodes(graph: GraphBuilder, model: VisibilityModel, value: str, weight: Stored) -> str:
-    """(P, C, 1, N): features through the input PCA and one more matrix (C, K, N)."""
+def linear_nodes(
+    graph: GraphBuilder, model: VisibilityModel, value: str, weight: Stored, bias: FloatArray
+) -> str:
+    """(P, C, 1, N): features through the input PCA, one more matrix (C, K, N), and a bias."""
     size = model.input_mean.shape[1]
-    mean: FloatArray = model.input_mean.astype(np.float64)
+    mean: FloatArray = model.input_mean.astype(np.float64)[:, None]
     basis = model.stored("input_basis")
     if not isinstance(model.features, Occluders):  # the same for all clusters: reduced once
         value = graph.reshape(value, [-1, 1, 1, size])
         centred = graph.node("Sub", value, graph.constant(mean[0]))
         reduced = graph.node("MatMul", centred, graph.stored(basis))
-        return graph.node("MatMul", reduced, graph.stored(weight))
-    # Everything linear in a cluster's features is one matrix.
-    caps = model.features.point.shape[1] * model.features.order**2
-    linear: FloatArray = np.eye(size)
-    linear[:caps, :caps] = np.kron(
-        np.eye(model.features.point.shape[1]), band_map(model.features.order)
-    )
-    value = graph.reshape(value, [-1, len(mean), 1, size])
-    mean = np.linalg.solve(linear.T, mean[..., None])[..., 0]
-    centred = graph.node("Sub", value, graph.constant(mean[:, None]))
-    if model.storage == "float32":
-        product = linear @ basis.values.astype(np.float64) @ weight.values
-        return graph.node("MatMul", centred, graph.constant(product))
-    first = graph.node("MatMul", graph.constant(linear), graph.stored(basis))
-    return graph.node("MatMul", centred, graph.node("MatMul", first, graph.stored(weight)))
+        value = graph.node("MatMul", reduced, graph.stored(weight))
+        return graph.node("Add", value, graph.constant(bias))
+    # Everything linear in a cluster's features is one matrix, everything constant its bias.
+    product = first_matrix(graph, model.features, basis, weight)
+    bias = bias - mean @ basis.array().astype(np.float64) @ weight.array().astype(np.float64)
+    order, points = model.features.order, model.features.point.shape[1]
+    rows = size + points * (RAW[order] - order**2)
+    value = graph.reshape(value, [-1, len(mean), 1, rows])
+    return graph.node("Add", graph.node("MatMul", value, product), graph.constant(bias))
+
+
+def first_matrix(graph: GraphBuilder, features: Occluders, basis: Stored, weight: Stored) -> str:
+    """(C, M · RAW + morphs, N): from :func:`occluder_nodes` through the PCA and one more matrix."""
+    clusters, points, _ = features.point.shape
+    to_features = harmonics(features)
+    shape = (clusters, points, features.order**2, basis.values.shape[-1])
+    caps = points * features.order**2
+    if basis.values.dtype == np.float32:  # multiplied here, in double precision
+        every = basis.values.astype(np.float64)
+        moved = (to_features @ every[:, :caps].reshape(shape)).reshape(clusters, -1, shape[-1])
+        return graph.constant(np.concatenate([moved, every[:, caps:]], axis=1) @ weight.values)
+    every = graph.stored(basis)
+    own = graph.reshape(graph.slice(every, 0, caps, 1), shape)
+    own = graph.node("MatMul", graph.constant(to_features), own)
+    own = graph.reshape(own, [clusters, -1, shape[-1]])
+    if basis.values.shape[1] > caps:
+        morphs = graph.slice(every, caps, basis.values.shape[1], 1)
+        own = graph.node("Concat", own, morphs, axis=1)
+    return graph.node("MatMul", own, graph.stored(weight))
 
 
 def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer) -> str:
@@ -252,14 +276,12 @@ def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer
     regressor = model.regressor
     value = feature_nodes(graph, model.features, model.pose_size)
     if regressor.hidden_weight is None or regressor.hidden_bias is None:
-        value = linear_nodes(graph, model, value, layer.weight)
+        value = linear_nodes(graph, model, value, layer.weight, layer.bias)
     else:
         hidden = model.stored("regressor.hidden_weight")
-        value = linear_nodes(graph, model, value, hidden)
-        shift = graph.constant(regressor.hidden_bias[:, None])
-        value = graph.node("Tanh", graph.node("Add", value, shift))
-        value = graph.node("MatMul", value, graph.stored(layer.weight))
-    value = graph.node("Add", value, graph.constant(layer.bias))
+        value = linear_nodes(graph, model, value, hidden, regressor.hidden_bias[:, None])
+        value = graph.node("MatMul", graph.node("Tanh", value), graph.stored(layer.weight))
+        value = graph.node("Add", value, graph.constant(layer.bias))
     return graph.reshape(value, [-1, layer.bias.size])
 
 
