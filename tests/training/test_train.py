@@ -152,5 +152,5 @@ def test_impossible_requests_are_told():
 
 
 def test_presets_are_valid_and_differ():
-    assert {"default", "small", "large", "paper"} == set(PRESETS)
+    assert {"default", "small", "fast", "large", "paper"} == set(PRESETS)
     assert len({tuple(dataclasses.asdict(p).items()) for p in PRESETS.values()}) == len(PRESETS)
