@@ -87,6 +87,7 @@ def human() -> None:
     for name, config in (
         ("neural, occluders, 14 latents", wider),
         ("preset small", PRESETS["small"]),
+        ("preset fast", PRESETS["fast"]),
         ("preset large", PRESETS["large"]),
     ):
         rows.append(row(f"clips and 600 sampled poses: {name}", sampled, config))

@@ -20,6 +20,7 @@ MODELS = {
     "clips and 600 sampled poses, neural, occluders": "preset default, neural on occluders",
     "clips and 600 sampled poses, neural, occluders, 14 latents": "the same with 14 latents",
     "clips and 600 sampled poses, preset small": "preset small",
+    "clips and 600 sampled poses, preset fast": "preset fast",
 }
 
 

@@ -357,7 +357,10 @@ def export(argv: Sequence[str]) -> None:
     from prtnet.model import VisibilityModel
     from training.export import export_folder
 
-    session.finish(export_folder(VisibilityModel.load(options.model), options.out))
+    model = VisibilityModel.load(options.model)
+    if options.storage is not None:
+        model = model.stored_as(options.storage)
+    session.finish(export_folder(model, options.out))
 
 
 def render(argv: Sequence[str]) -> None:

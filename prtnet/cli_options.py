@@ -10,6 +10,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from prtnet.errors import PrtnetError
+from prtnet.storage import Storage
 
 __all__ = [
     "Common",
@@ -59,7 +60,7 @@ class TrainOptions:
 
     dataset: Positional[Path]  # from prtnet generate
     out: Path  # model to write, a .safetensors file
-    preset: str = "default"  # the options' values to start from: default, small, large or paper
+    preset: str = "default"  # the options' values to start from: default, small, fast, large, paper
     log_dir: Path | None = None  # write TensorBoard scalars and histograms into this folder
     threads: int | None = None  # CPU threads; all cores when not given
 
@@ -93,6 +94,7 @@ class ExportOptions:
 
     model: Positional[Path]  # from prtnet train
     out: Path  # folder to write
+    storage: Storage | None = None  # of large arrays; the model's own when not given
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,9 @@ as one batch; latents are counted cluster by cluster.
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +24,15 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
 from prtnet.features import Features, features_from_arrays
 from prtnet.files import writing
+from prtnet.storage import (
+    STORAGES,
+    Packing,
+    Storage,
+    Stored,
+    pack,
+    quantise,
+    unpack,
+)  # fmt: skip
 
 __all__ = ["FORMAT_VERSION", "KINDS", "Regressor", "VisibilityModel"]
 
@@ -49,6 +60,7 @@ class Regressor:
         value = np.swapaxes(inputs, 0, 1)
         if self.hidden_weight is not None and self.hidden_bias is not None:
             value = np.tanh(value @ self.hidden_weight + self.hidden_bias[:, None])
+        value = np.repeat(value, len(self.weight) // len(value), axis=0)
         return np.swapaxes(value @ self.weight + self.bias[:, None], 0, 1)
 
     def arrays(self) -> dict[str, FloatArray]:
@@ -72,7 +84,8 @@ class VisibilityModel:
         mean: each cluster's mean visibility, (C, R · n²).
         basis: the clusters' principal components one after the other, (Σ latents, R · n²).
         rest_tangents: receivers' tangents at rest, (V, 3): they fix the local frames.
-        metadata: format version, configuration, training and held-out errors, fingerprints.
+        metadata: format version, configuration, training and held-out errors, fingerprints; under
+            ``storage`` how the arrays are stored. They hold the very values that are read back.
     """
 
     kind: str
@@ -113,6 +126,65 @@ class VisibilityModel:
         slots[flat[flat >= 0]] = np.flatnonzero(flat >= 0)
         return slots
 
+    @property
+    def parts(self) -> int:
+        """Groups of receivers in each cluster."""
+        hidden = self.regressor.hidden_weight
+        clusters = len(self.input_basis) if hidden is None else len(hidden)
+        # A linear model of inputs that all clusters share has no cluster larger than a group.
+        shared = hidden is None and clusters == 1
+        return 1 if shared else max(1, len(self.receivers) // clusters)
+
+    @property
+    def storage(self) -> Storage:
+        """How the file and the export hold the large arrays."""
+        name: Storage = self.metadata.get("storage", "float32")
+        return name
+
+    def stored_as(self, storage: Storage) -> VisibilityModel:
+        """The model whose arrays are rounded to what ``storage`` can hold."""
+        model = dataclasses.replace(self, metadata={**self.metadata, "storage": storage})
+        arrays: dict[str, Any] = {name: model.stored(name).array() for name in model.packings}
+        weights = {
+            name.removeprefix("regressor."): arrays.pop(name)
+            for name in list(arrays)
+            if name.startswith("regressor.")
+        }
+        regressor = dataclasses.replace(self.regressor, **weights)
+        return dataclasses.replace(model, regressor=regressor, **arrays)
+
+    def stored(self, name: str) -> Stored:
+        """An array as it is stored, by its name in the file."""
+        owner, _, attribute = name.rpartition(".")
+        array = getattr(self.regressor if owner else self, attribute)
+        return quantise(array, self.packings.get(name, Packing("float32")))
+
+    @property
+    def packings(self) -> dict[str, Packing]:
+        """How each stored array is packed, by its name in the file; all else is float32.
+
+        In 8 bits components have a scale each, means one a coefficient, as deviations from open
+        visibility, and matrices one a column.
+        """
+        kind = self.storage
+        if kind == "float32":
+            return {}
+        opened = np.zeros(self.order**2, dtype=np.float32)
+        opened[0] = math.sqrt(4.0 * math.pi)
+        matrices = {"input_basis": self.input_basis, "regressor.weight": self.regressor.weight}
+        if self.regressor.hidden_weight is not None:
+            matrices["regressor.hidden_weight"] = self.regressor.hidden_weight
+        return {
+            "mean": Packing(kind, axis=(-2, -1), period=self.order**2, offset=opened),
+            "basis": Packing(kind),
+            "rest_tangents": Packing("float16", axis=(-2, -1)),
+            **{
+                name: Packing(kind, axis=(-2, -1), period=matrix.shape[-1])
+                for name, matrix in matrices.items()
+                if matrix.size > 0
+            },
+        }
+
     def check_pose(self, poses: FloatArray) -> None:
         """Raise PrtnetError where poses are not (P, D) of this model, or not finite."""
         if poses.ndim != 2 or poses.shape[1] != self.pose_size:
@@ -128,7 +200,7 @@ class VisibilityModel:
         """Reduced inputs (P, C, K) of flattened poses (P, D)."""
         features = np.swapaxes(self.features(poses), 0, 1)  # [1 or C, P, F]
         inputs = (features - self.input_mean[:, None]) @ self.input_basis
-        shape = (len(self.latents), len(poses), inputs.shape[-1])
+        shape = (len(self.latents) // self.parts, len(poses), inputs.shape[-1])
         return np.swapaxes(np.broadcast_to(inputs, shape), 0, 1)
 
     def latent(self, poses: FloatArray) -> FloatArray:
@@ -174,11 +246,12 @@ class VisibilityModel:
             "kind": self.kind,
             "order": self.order,
             "features": self.features.kind,
+            "storage": self.storage,
         }
         arrays = {name: getattr(self, name) for name in ARRAYS}
         arrays |= {f"regressor.{name}": a for name, a in self.regressor.arrays().items()}
         arrays |= {f"features.{name}": a for name, a in self.features.arrays().items()}
-        arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        arrays = {n: np.ascontiguousarray(a) for n, a in pack(arrays, self.packings).items()}
         with writing(path) as partial:
             # ``save_file`` would make a file that nobody else may read.
             partial.write_bytes(safetensors.numpy.save(arrays, {"prtnet": json.dumps(header)}))
@@ -199,6 +272,9 @@ class VisibilityModel:
             )
         try:
             parts: dict[str, dict[str, Any]] = {"features": {}, "regressor": {}}
+            if header.get("storage", "float32") not in STORAGES:
+                raise ValueError(f"no storage is called {header['storage']}")
+            arrays = unpack(arrays)
             for name, array in arrays.items():
                 room, _, rest = name.partition(".")
                 if rest:
@@ -240,12 +316,12 @@ def read(path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
 
 def check_shapes(model: VisibilityModel) -> None:
     """Raise ValueError where arrays do not fit each other."""
-    clusters, slots = model.receivers.shape
+    groups, slots = model.receivers.shape
     width = slots * model.order**2
     expected = {
-        "mean": (clusters, width),
+        "mean": (groups, width),
         "basis": (int(model.latents.sum()), width),
-        "latents": (clusters,),
+        "latents": (groups,),
     }
     for name, shape in expected.items():
         if getattr(model, name).shape != shape:
@@ -255,12 +331,15 @@ def check_shapes(model: VisibilityModel) -> None:
         raise ValueError("receivers are not each in exactly one slot")
     width = int(model.latents.max(initial=0))
     inner = model.input_basis.shape[2]
+    clusters = groups // model.parts
+    if clusters * model.parts != groups or len(model.input_basis) not in (1, clusters):
+        raise ValueError("clusters do not all have equally many groups")
     if model.regressor.hidden_weight is not None:
         neurons = model.regressor.weight.shape[1]
         if model.regressor.hidden_weight.shape != (clusters, inner, neurons):
             raise ValueError("regressor.hidden_weight does not fit the inputs and neurons")
         inner = neurons
-    if model.regressor.weight.shape[:2] != (clusters, inner) or (
+    if model.regressor.weight.shape[:2] != (groups, inner) or (
         model.regressor.weight.shape[2] < width
     ):
         raise ValueError("regressor.weight does not fit the clusters, inputs and latents")

@@ -60,17 +60,19 @@ def random_model(
     receivers: int = 40,
     feature_order: int = 3,
     seed: int = 0,
+    parts: int = 1,
 ) -> VisibilityModel:
-    """A model whose every array is random, with clusters of unequally many latents."""
+    """A model whose every array is random, with groups of unequally many latents."""
     rng = np.random.default_rng(seed)
     seen = random_features(features, joints, clusters, feature_order, seed)
     width = seen(random_poses(1, joints, morphs)).shape[-1]
     order, inputs, neurons, most = 3, 4, 6, 5
-    capacity = -(-receivers // clusters)
-    slots = np.full(clusters * capacity, -1, dtype=np.int32)
+    groups = clusters * parts
+    capacity = -(-receivers // groups)
+    slots = np.full(groups * capacity, -1, dtype=np.int32)
     slots[:receivers] = rng.permutation(receivers)
     rng.shuffle(slots)
-    latents = rng.choice([0, 2, most], clusters).astype(np.int32)
+    latents = rng.choice([0, 2, most], groups).astype(np.int32)
     if kind == "constant":
         latents[:] = 0
     shared = clusters if features == "occluders" else 1
@@ -86,14 +88,14 @@ def random_model(
         input_mean=normal(shared, width),
         input_basis=normal(shared, width, inputs) / width**0.5,
         regressor=Regressor(
-            normal(clusters, hidden, most),
-            normal(clusters, most),
+            normal(groups, hidden, most),
+            normal(groups, most),
             normal(clusters, inputs, neurons) if kind == "neural" else None,
             normal(clusters, neurons) if kind == "neural" else None,
         ),
         latents=latents,
-        receivers=slots.reshape(clusters, capacity),
-        mean=normal(clusters, capacity * order**2),
+        receivers=slots.reshape(groups, capacity),
+        mean=normal(groups, capacity * order**2),
         basis=normal(int(latents.sum()), capacity * order**2),
         rest_tangents=normal(receivers, 3),
         metadata={"pose_size": 12 * joints + morphs, "format_version": 1},

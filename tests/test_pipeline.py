@@ -152,12 +152,22 @@ def test_export(work: Path, tmp_path: Path) -> None:
     folder = tmp_path / "export"
     for _ in range(2):  # an earlier export is replaced
         prtnet("export", work / "arm.safetensors", "--out", folder, "--quiet")
-    assert {file.name for file in folder.iterdir()} == {"model.onnx", "model.json", "README.md"}
-    onnx.checker.check_model(str(folder / "model.onnx"))
+    files = {"model.onnx", "model.json", "README.md"}
+    files |= {"latent.onnx", "gpu.bin", "gpu.json", "prtnet.glsl"}
+    assert {file.name for file in folder.iterdir()} == files
+    for graph in ("model.onnx", "latent.onnx"):
+        onnx.checker.check_model(str(folder / graph))
+    size = (folder / "gpu.bin").stat().st_size
     facts = json.loads((folder / "model.json").read_text())
     receivers = facts["receivers"]
     assert np.shape(facts["rest_tangents"]) == (receivers, 3)
-    assert f"(poses, {receivers}, 16)" in (folder / "README.md").read_text()
+    text = (folder / "README.md").read_text()
+    assert f"(poses, {receivers}, 16)" in text
+    assert f"(poses, {facts['latents']})" in text
+    options = ("--storage", "int8", "--quiet")
+    prtnet("export", work / "arm.safetensors", "--out", folder, *options)
+    assert (folder / "gpu.bin").stat().st_size < 0.6 * size
+    assert json.loads((folder / "model.json").read_text())["storage"] == "int8"
 
 
 def test_export_of_a_point_cache_model_says_so(work: Path, tmp_path: Path) -> None:

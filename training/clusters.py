@@ -6,7 +6,7 @@ import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
 
-__all__ = ["balanced_clusters", "cluster_coordinates"]
+__all__ = ["balanced_clusters", "cluster_coordinates", "subdivide"]
 
 
 def cluster_coordinates(
@@ -88,3 +88,23 @@ def balanced_clusters(
     rank = np.arange(len(points)) - np.searchsorted(label[order], label[order])
     slots[label[order], rank] = order
     return slots[(slots >= 0).any(axis=1)]
+
+
+def subdivide(slots: IntArray, points: FloatArray, parts: int, seed: int = 0) -> IntArray:
+    """Each cluster's receivers in equally large groups: (C, R) to (C · parts, ⌈R / parts⌉).
+
+    Args:
+        slots: receivers of each cluster, −1 for empty.
+        points: whose distances say which receivers belong together, (V, D).
+        parts: groups a cluster; those that find no receiver are empty.
+        seed: of :func:`balanced_clusters`.
+    """
+    if parts == 1:
+        return slots
+    groups = np.full((len(slots), parts, -(-slots.shape[1] // parts)), -1, dtype=np.int32)
+    for cluster, own in enumerate(slots):
+        members = own[own >= 0]
+        inside = balanced_clusters(points[members], parts, seed)
+        filled = np.where(inside >= 0, members[inside], -1)
+        groups[cluster, : filled.shape[0], : filled.shape[1]] = filled
+    return groups.reshape(-1, groups.shape[2])

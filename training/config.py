@@ -7,6 +7,7 @@ from typing import Literal
 
 from prtnet.errors import PrtnetError
 from prtnet.features import Occluders
+from prtnet.storage import Storage
 
 __all__ = ["PRESETS", "TrainConfig"]
 
@@ -22,6 +23,9 @@ class TrainConfig:
     around each cluster; when not given, occluders for skinned scenes."""
     clusters: int = 64
     """Clusters of receivers, equally large."""
+    parts: int = 1
+    """Groups of receivers in each cluster: each has output components of its own, and all are
+    driven by the cluster's one hidden layer."""
     neurons: int = 32
     """Neurons in each cluster's hidden layer."""
     networks: int = 1
@@ -31,7 +35,9 @@ class TrainConfig:
     output_variance: float = 0.99
     """Fraction of the visibility's variance that the output components keep."""
     latents: float = 10.0
-    """At most so many output components a cluster, on average."""
+    """At most so many output components a cluster, on average; with parts, its groups' in all."""
+    step: int = 4
+    """Groups have multiples of so many output components: few different sizes are fast."""
     input_variance: float = 0.999
     """Fraction of the features' variance that the input components keep."""
     inputs: int = 48
@@ -50,6 +56,9 @@ class TrainConfig:
     """Of L-BFGS, at most."""
     seed: int = 0
     """Of clusters, spheres and starting weights."""
+    storage: Storage = "float32"
+    """How the model's large arrays are stored: int8 is a quarter of the bytes, its error is of the
+    rounded model."""
     device: str = "cpu"
     """Where torch fits: cpu, or cuda."""
 
@@ -58,6 +67,7 @@ class TrainConfig:
         least = {"clusters": 1, "neurons": 1, "networks": 1, "inputs": 1, "iterations": 1}
         least["restarts"] = 1
         least |= {"spheres": 1, "points": 1, "near": 1, "feature_order": 1, "latents": 0}
+        least |= {"parts": 1, "step": 1}
         for name, bound in least.items():
             if not getattr(self, name) >= bound:  # so that NaN fails
                 raise PrtnetError(f"--{name.replace('_', '-')}", f"must be at least {bound}")
@@ -75,6 +85,7 @@ class TrainConfig:
 PRESETS: dict[str, TrainConfig] = {
     "default": TrainConfig(),
     "small": TrainConfig(clusters=32, neurons=16, latents=6, points=3, near=24, spheres=64),
+    "fast": TrainConfig(parts=8, latents=32),
     "large": TrainConfig(neurons=32, networks=3, latents=48, points=8, near=64, spheres=240),
     "paper": TrainConfig(
         features="joint_angles", latents=1e9, output_variance=0.95, input_variance=0.9

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from prtnet.files import writing
 from prtnet.model import VisibilityModel
-from training.onnx_export import export_onnx
+from training.gpu_tables import COUNT_BITS, FORMATS, WIDTH, gpu_tables, write_gpu_tables
+from training.onnx_export import export_latent_onnx, export_onnx
 
 __all__ = ["export_folder"]
 
@@ -32,9 +34,46 @@ README = """\
 Condon–Shortley phase) in each receiver's local frame: z is the vertex normal, x its tangent made
 perpendicular to it. 1 is open, 0 blocked, there is no cosine inside. A receiver is a unique vertex:
 `model.json` has its tangent at rest under `rest_tangents`, which is skinned like any tangent.
+Where its large arrays are stored in fewer bytes ({storage} here), Cast, Mul and Add at the head of
+the graph make floats of them; onnxruntime does that once, when it loads.
 
 **Shading.** Rotate the light's coefficients into the local frame (or the visibility out of it),
 multiply light and visibility, and integrate with the clamped cosine and the BRDF.
+
+# On the GPU
+
+{gpu}"""
+
+GPU = """\
+`latent.onnx` turns the pose into `latents` (poses, {latents}); a shader rebuilds the visibility of
+each vertex from them and from textures made once of `gpu.bin`. Per frame only the latents travel.
+
+`gpu.bin` is little-endian; `gpu.json` gives each texture's format, dtype, shape (height, width,
+channels) and byte offset. Textures are {width} texels wide and are read with `texelFetch`, texel i
+at (i % {width}, i / {width}); no filter, no mipmaps.
+
+| texture | texel |
+|---|---|
+| `prtnet_rows` ({rows}) | the receivers one after the other: {texels} texels of \
+mean, then {texels} of each component of its group; \
+coefficient i is channel i % 4 of texel i / 4, padded with zeros |
+| `prtnet_receivers` (RG32UI) | of receiver i: its first texel in `prtnet_rows`; its \
+first latent · 2^{bits} + its number of latents |
+| `prtnet_latents` (R32F) | one latent each: the output of `latent.onnx` as it is, \
+uploaded every frame |
+
+With t the texel of coefficient i (8-bit integers are signed normalised: t = q / 127),
+
+    visibility[i] = mean_offset[i] + mean_scale[i] t_mean[i] + sum over k of latent[k] t_k[i]
+
+`latent.onnx` has the components' scales inside. `prtnet.glsl` does this in GLSL 3.30 or
+GLSL ES 3.00: put it behind your `#version` line and precision statements, bind the three textures,
+and call `prtnet_visibility(receiver, v)`.
+"""
+
+CONSTANT = """\
+The model knows no pose but the mean: there are no latents, and no `latent.onnx`. `gpu.bin` and
+`prtnet.glsl` hold the means.
 """
 
 POSES = {
@@ -45,7 +84,7 @@ POSES = {
 
 
 def export_folder(model: VisibilityModel, out: Path) -> dict[str, int]:
-    """Write ``model.onnx``, ``model.json`` and ``README.md`` into a folder, replacing it.
+    """Write the graphs, the GPU's tables, ``model.json`` and ``README.md``, replacing the folder.
 
     Returns:
         Sizes of the files in bytes, by name.
@@ -59,16 +98,29 @@ def export_folder(model: VisibilityModel, out: Path) -> dict[str, int]:
         "features": model.features.kind,
         "order": model.order,
         "receivers": model.receiver_count,
+        "storage": model.storage,
+        "latents": int(model.latents.sum()),
     }
-    text = README.format(
-        **facts,
-        coefficients=model.order**2,
-        pose=POSES[facts["scene_kind"]],
-    )
-    facts["rest_tangents"] = model.rest_tangents.tolist()
+    tables = gpu_tables(model)
     with writing(out) as partial:
         partial.mkdir()
         export_onnx(model, partial / "model.onnx")
+        if facts["latents"]:
+            export_latent_onnx(model, tables.latent_scale, partial / "latent.onnx")
+        write_gpu_tables(tables, partial)
+        (partial / "README.md").write_text(readme(facts), encoding="utf-8")
+        facts["rest_tangents"] = model.rest_tangents.tolist()
         (partial / "model.json").write_text(json.dumps(facts) + "\n", encoding="utf-8")
-        (partial / "README.md").write_text(text, encoding="utf-8")
     return {file.name: file.stat().st_size for file in sorted(out.iterdir())}
+
+
+def readme(facts: dict[str, Any]) -> str:
+    """What the engine programmer reads."""
+    coefficients = facts["order"] ** 2
+    gpu = GPU if facts["latents"] else CONSTANT
+    gpu = gpu.format(
+        **facts, width=WIDTH, texels=-(-coefficients // 4), bits=COUNT_BITS,
+        rows=FORMATS[facts["storage"]],
+    )  # fmt: skip
+    pose = POSES[facts["scene_kind"]]
+    return README.format(**facts, coefficients=coefficients, pose=pose, gpu=gpu)

@@ -12,13 +12,15 @@ import numpy as np
 import onnx
 
 from prtnet import sh
-from prtnet.arrays import FloatArray, IntArray
+from prtnet.arrays import FloatArray
 from prtnet.features import FULL_FOLD, SMALLEST, DihedralAngles, Features, JointAngles, Occluders
 from prtnet.files import writing
 from prtnet.model import VisibilityModel
+from prtnet.storage import Stored
 from training.onnx_graph import GraphBuilder
+from training.reconstruction import LatentLayer, latent_layer, visibility_nodes
 
-__all__ = ["build_onnx", "export_onnx"]
+__all__ = ["build_latent_onnx", "build_onnx", "export_latent_onnx", "export_onnx"]
 
 
 def joint_matrices(graph: GraphBuilder, joints: int) -> str:
@@ -118,6 +120,7 @@ def near_nodes(graph: GraphBuilder, features: Occluders) -> tuple[str, str]:
     return graph.node("Sub", graph.node("MatMul", inverse, columns), shift), own
 
 
+RAW = {1: 1, 2: 5, 3: 15}  # numbers a point, by order
 QUADRATIC = np.triu_indices(3)  # x², xy, xz, y², yz, z²
 
 
@@ -157,11 +160,11 @@ def recentred(point: FloatArray) -> FloatArray:
 
 
 def occluder_nodes(graph: GraphBuilder, features: Occluders) -> str:
-    """(P, C, M · order²): for each point Σ w_0, Σ w_1 a, Σ w_2 h(a) over spheres at a from it.
+    """(P, C, M · RAW): for each point Σ w_0, Σ w_1 (1; c), Σ w_2 (1; c; c⊗c) over spheres at c.
 
-    w_l = I_l / |a|^l, with I_l the cap's integrals, is a function of the squared distance alone,
-    which is linear in the monomials of the centre; so are the sums, about the points' mean. Only
-    then are they moved to each point: few numbers.
+    w_l = I_l / |a|^l, with I_l the cap's integrals and a from the point to the centre, is a
+    function of the squared distance alone, which is linear in the monomials of the centre about
+    the points' mean. Moving the sums to each point is linear: see :func:`harmonics`.
     """
     clusters, points, _ = features.point.shape
     local, radius2 = near_nodes(graph, features)
@@ -186,22 +189,29 @@ def occluder_nodes(graph: GraphBuilder, features: Occluders) -> str:
     if features.order > 2:
         weights.append(graph.node("Div", graph.node("Mul", half, cosine), distance2))
     for degree, weight in enumerate(weights, start=1):
-        total = graph.total(weight, 3, keep=True)
         rows = monomials if degree == 2 else local
         sums = graph.node("MatMul", weight, graph.node("Transpose", rows, perm=[0, 1, 3, 2]))
-        if degree == 1:
-            bands.append(graph.node("Sub", sums, graph.node("Mul", total, graph.constant(point))))
-            continue
-        moments = graph.node("Concat", total, sums, axis=3)
-        moments = graph.reshape(moments, [-1, clusters, points, 1, 10])
-        weighed = graph.node("Mul", moments, graph.constant(recentred(point).swapaxes(2, 3)))
-        bands.append(graph.total(weighed, 4))
+        bands += [graph.total(weight, 3, keep=True), sums]
     every = graph.node("Concat", *bands, axis=3) if len(bands) > 1 else bands[0]
-    return graph.reshape(every, [-1, clusters, points * features.order**2])
+    return graph.reshape(every, [-1, clusters, points * RAW[features.order]])
+
+
+def harmonics(features: Occluders) -> FloatArray:
+    """(C, M, RAW, order²): what :func:`occluder_nodes` gives of a point, to its features."""
+    order, point = features.order, features.point.astype(np.float64)
+    point = point - point.mean(axis=1, keepdims=True)
+    moved = np.zeros((*point.shape[:2], RAW[order], order**2))
+    moved[..., 0, 0] = 1.0
+    if order > 1:
+        moved[..., 1, 1:4] = -point
+        moved[..., 2:5, 1:4] = np.eye(3)
+    if order > 2:
+        moved[..., 5:, 4:] = recentred(point)
+    return moved @ band_map(order)
 
 
 def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> str:
-    """(P, 1 or C, F) values, morph weights last; those of Occluders lack :func:`band_map`."""
+    """(P, 1 or C, F) values, morph weights last; those of Occluders lack :func:`harmonics`."""
     if isinstance(features, DihedralAngles):
         return dihedral_angle_nodes(graph, features, pose_size)
     if isinstance(features, JointAngles):
@@ -219,98 +229,102 @@ def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> st
     return graph.node("Concat", value, copies, axis=2)
 
 
-def first_layer_nodes(
-    graph: GraphBuilder, model: VisibilityModel, value: str, first: FloatArray, order: IntArray
+def linear_nodes(
+    graph: GraphBuilder, model: VisibilityModel, value: str, weight: Stored, bias: FloatArray
 ) -> str:
-    """(P, C, 1, N): features through the input PCA and the first layer, clusters in ``order``."""
+    """(P, C, 1, N): features through the input PCA, one more matrix (C, K, N), and a bias."""
     size = model.input_mean.shape[1]
-    mean: FloatArray = model.input_mean.astype(np.float64)
-    basis = model.input_basis.astype(np.float64)
+    mean: FloatArray = model.input_mean.astype(np.float64)[:, None]
+    basis = model.stored("input_basis")
     if not isinstance(model.features, Occluders):  # the same for all clusters: reduced once
         value = graph.reshape(value, [-1, 1, 1, size])
         centred = graph.node("Sub", value, graph.constant(mean[0]))
-        reduced = graph.node("MatMul", centred, graph.constant(basis[0]))
-        return graph.node("MatMul", reduced, graph.constant(first[order]))
-    # Everything linear in a cluster's features is one matrix.
-    caps = model.features.point.shape[1] * model.features.order**2
-    linear: FloatArray = np.eye(size)
-    linear[:caps, :caps] = np.kron(
-        np.eye(model.features.point.shape[1]), band_map(model.features.order)
-    )
-    value = graph.reshape(value, [-1, len(order), 1, size])
-    if not np.array_equal(order, np.arange(len(order))):
-        value = graph.node("Gather", value, graph.constant(order), axis=1)
-    mean = np.linalg.solve(linear.T, mean[order][..., None])[..., 0]
-    centred = graph.node("Sub", value, graph.constant(mean[:, None]))
-    return graph.node("MatMul", centred, graph.constant(linear @ basis[order] @ first[order]))
+        reduced = graph.node("MatMul", centred, graph.stored(basis))
+        value = graph.node("MatMul", reduced, graph.stored(weight))
+        return graph.node("Add", value, graph.constant(bias))
+    # Everything linear in a cluster's features is one matrix, everything constant its bias.
+    product = first_matrix(graph, model.features, basis, weight)
+    bias = bias - mean @ basis.array().astype(np.float64) @ weight.array().astype(np.float64)
+    order, points = model.features.order, model.features.point.shape[1]
+    rows = size + points * (RAW[order] - order**2)
+    value = graph.reshape(value, [-1, len(mean), 1, rows])
+    return graph.node("Add", graph.node("MatMul", value, product), graph.constant(bias))
 
 
-def reconstruction_nodes(
-    graph: GraphBuilder,
-    model: VisibilityModel,
-    value: str,
-    weight: FloatArray,
-    bias: FloatArray,
-    order: IntArray,
-) -> None:
-    """From the last layer's inputs (P, C, 1, N), clusters in ``order``, to ``visibility``.
+def first_matrix(graph: GraphBuilder, features: Occluders, basis: Stored, weight: Stored) -> str:
+    """(C, M · RAW + morphs, N): from :func:`occluder_nodes` through the PCA and one more matrix."""
+    clusters, points, _ = features.point.shape
+    to_features = harmonics(features)
+    shape = (clusters, points, features.order**2, basis.values.shape[-1])
+    caps = points * features.order**2
+    if basis.values.dtype == np.float32:  # multiplied here, in double precision
+        every = basis.values.astype(np.float64)
+        moved = (to_features @ every[:, :caps].reshape(shape)).reshape(clusters, -1, shape[-1])
+        return graph.constant(np.concatenate([moved, every[:, caps:]], axis=1) @ weight.values)
+    every = graph.stored(basis)
+    own = graph.reshape(graph.slice(every, 0, caps, 1), shape)
+    own = graph.node("MatMul", graph.constant(to_features), own)
+    own = graph.reshape(own, [clusters, -1, shape[-1]])
+    if basis.values.shape[1] > caps:
+        morphs = graph.slice(every, caps, basis.values.shape[1], 1)
+        own = graph.node("Concat", own, morphs, axis=1)
+    return graph.node("MatMul", own, graph.stored(weight))
 
-    Clusters of equally many latents form one batched product. A last latent that is always one
-    carries the mean.
-    """
-    counts = model.latents[order]
-    starts = np.concatenate([[0], np.cumsum(model.latents)])
-    parts = []
-    for count in np.unique(counts):
-        inside = np.flatnonzero(counts == count)  # contiguous: ``order`` sorts by count
-        clusters = order[inside]
-        own = value
-        if len(inside) < len(order):
-            own = graph.slice(value, int(inside[0]), int(inside[-1]) + 1, 1)
-        to_latent = np.zeros((len(clusters), weight.shape[1], count + 1))
-        to_latent[..., :count] = weight[clusters, :, :count]
-        shift = np.ones((len(clusters), 1, count + 1))
-        shift[:, 0, :count] = bias[clusters, :count]
-        latent = graph.node("MatMul", own, graph.constant(to_latent))
-        latent = graph.node("Add", latent, graph.constant(shift))
-        basis = np.stack(
-            [
-                np.concatenate([model.basis[starts[c] : starts[c] + count], model.mean[c : c + 1]])
-                for c in clusters
-            ]
-        )
-        slots = graph.node("MatMul", latent, graph.constant(basis))
-        size = len(clusters) * model.receivers.shape[1]
-        parts.append(graph.reshape(slots, [-1, size, model.order**2]))
-    every = parts[0] if len(parts) == 1 else graph.node("Concat", *parts, axis=1)
-    position = np.empty_like(order)
-    position[order] = np.arange(len(order))
-    cluster, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
-    index = position[cluster] * model.receivers.shape[1] + slot
-    graph.node("Gather", every, graph.constant(index), axis=1, output="visibility")
+
+def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer) -> str:
+    """(P, C · M) every cluster's latents, of the pose."""
+    regressor = model.regressor
+    value = feature_nodes(graph, model.features, model.pose_size)
+    if regressor.hidden_weight is None or regressor.hidden_bias is None:
+        value = linear_nodes(graph, model, value, layer.weight, layer.bias)
+    else:
+        hidden = model.stored("regressor.hidden_weight")
+        value = linear_nodes(graph, model, value, hidden, regressor.hidden_bias[:, None])
+        value = graph.node("MatMul", graph.node("Tanh", value), graph.stored(layer.weight))
+        value = graph.node("Add", value, graph.constant(layer.bias))
+    return graph.reshape(value, [-1, layer.bias.size])
 
 
 def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
     """The model as a checked graph: ``pose`` (poses, D) in, ``visibility`` (poses, V, n²) out."""
     graph = GraphBuilder()
-    order = np.argsort(model.latents, kind="stable")
-    regressor = model.regressor
-    value = feature_nodes(graph, model.features, model.pose_size)
-    first = regressor.weight if regressor.hidden_weight is None else regressor.hidden_weight
-    value = first_layer_nodes(graph, model, value, first.astype(np.float64), order)
-    weight, bias = regressor.weight, regressor.bias
-    if regressor.hidden_weight is not None and regressor.hidden_bias is not None:
-        shift = regressor.hidden_bias[order][:, None]
-        value = graph.node("Tanh", graph.node("Add", value, graph.constant(shift)))
-    else:  # the latents are there already
-        weight = np.broadcast_to(np.eye(weight.shape[2]), (len(order), *2 * weight.shape[2:]))
-    reconstruction_nodes(graph, model, value, weight, bias, order)
+    layer = latent_layer(model)
+    visibility_nodes(graph, model, layer, latent_nodes(graph, model, layer))
     shape = [model.receiver_count, model.order**2]
-    return graph.model(model.pose_size, shape, {"prtnet": "visibility", "kind": model.kind})
+    return graph.model(
+        model.pose_size, "visibility", shape, {"prtnet": "visibility", "kind": model.kind}
+    )
+
+
+def build_latent_onnx(model: VisibilityModel, scale: FloatArray) -> onnx.ModelProto:
+    """A checked graph of the latents alone: ``pose`` (poses, D) in, ``latents`` (poses, Σ) out.
+
+    Args:
+        model: with at least one latent.
+        scale: each latent is multiplied by it, (Σ latents,).
+    """
+    graph = GraphBuilder()
+    layer = latent_layer(model)
+    flat = latent_nodes(graph, model, layer)
+    own = [first + np.arange(n) for first, n in zip(layer.first, model.latents, strict=True)]
+    value = graph.node("Gather", flat, graph.constant(np.concatenate(own)), axis=1)
+    graph.node("Mul", value, graph.constant(scale), output="latents")
+    return graph.model(
+        model.pose_size, "latents", [len(scale)], {"prtnet": "latents", "kind": model.kind}
+    )
 
 
 def export_onnx(model: VisibilityModel, path: str | Path) -> None:
     """Write :func:`build_onnx` to a file, whole or not at all."""
-    proto = build_onnx(model)
+    write_graph(build_onnx(model), path)
+
+
+def export_latent_onnx(model: VisibilityModel, scale: FloatArray, path: str | Path) -> None:
+    """Write :func:`build_latent_onnx` to a file, whole or not at all."""
+    write_graph(build_latent_onnx(model, scale), path)
+
+
+def write_graph(proto: onnx.ModelProto, path: str | Path) -> None:
+    """Write a graph to a file, whole or not at all."""
     with writing(path) as partial:
         onnx.save(proto, partial)

@@ -14,14 +14,15 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.storage import Stored
 
 __all__ = ["OPSET", "PORTABLE", "GraphBuilder"]
 
 OPSET = 15
 PORTABLE = frozenset(
     (
-        *("Add", "Clip", "Concat", "Div", "Gather", "MatMul", "Mul", "ReduceSum", "Reshape"),
-        *("Slice", "Sqrt", "Sub", "Tanh", "Transpose"),
+        *("Add", "Cast", "Clip", "Concat", "Div", "Gather", "MatMul", "Mul", "ReduceSum"),
+        *("Reshape", "Slice", "Sqrt", "Sub", "Tanh", "Transpose"),
     )
 )
 
@@ -37,10 +38,28 @@ class GraphBuilder:
         """A float32 or int64 initializer."""
         value = np.asarray(array)
         dtype = np.int64 if np.issubdtype(value.dtype, np.integer) else np.float32
+        return self.initializer(value.astype(dtype))
+
+    def initializer(self, array: Any) -> str:
+        """An initializer of the array's own type."""
         name = f"constant_{len(self.constants)}"
-        value = np.ascontiguousarray(value.astype(dtype)).reshape(value.shape)
+        value = np.ascontiguousarray(array).reshape(array.shape)
         self.constants.append(numpy_helper.from_array(value, name))
         return name
+
+    def stored(self, stored: Stored) -> str:
+        """The float32 array of a stored one: a few nodes on constants, for runtimes to fold."""
+        if stored.values.dtype == np.float32:
+            return self.constant(stored.values)
+        shape, period = stored.values.shape, stored.scale.shape[-1]
+        value = self.node("Cast", self.initializer(stored.values), to=TensorProto.FLOAT)
+        if period > 1:
+            value = self.reshape(value, [*shape[:-1], shape[-1] // period, period])
+        scale = stored.scale[..., None, :] if period > 1 else stored.scale
+        value = self.node("Mul", value, self.constant(scale))
+        if stored.offset is not None:
+            value = self.node("Add", value, self.constant(stored.offset))
+        return self.reshape(value, shape) if period > 1 else value
 
     def node(
         self, operator: str, *inputs: str, output: str | None = None, **attributes: Any
@@ -73,14 +92,12 @@ class GraphBuilder:
         return self.node("Clip", value, *bounds)
 
     def model(
-        self, input_size: int, output_shape: Sequence[int], description: dict[str, str]
+        self, input_size: int, output: str, shape: Sequence[int], description: dict[str, str]
     ) -> onnx.ModelProto:
-        """The checked model: input ``pose`` (poses, D), output ``visibility`` (poses, V, n²)."""
+        """The checked model: input ``pose`` (poses, D), output (poses, …)."""
         pose = helper.make_tensor_value_info("pose", TensorProto.FLOAT, ["poses", input_size])
-        visibility = helper.make_tensor_value_info(
-            "visibility", TensorProto.FLOAT, ["poses", *output_shape]
-        )
-        graph = helper.make_graph(self.nodes, "prtnet", [pose], [visibility], self.constants)
+        result = helper.make_tensor_value_info(output, TensorProto.FLOAT, ["poses", *shape])
+        graph = helper.make_graph(self.nodes, "prtnet", [pose], [result], self.constants)
         model = helper.make_model(
             graph,
             opset_imports=[helper.make_opsetid("", OPSET)],

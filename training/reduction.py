@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 
 from prtnet.arrays import FloatArray, IntArray
 
@@ -63,7 +64,8 @@ def reduce_output(
 ) -> OutputReduction:
     """Clustered PCA of visibility (P, V, n²) over poses.
 
-    Eigenvectors come from the P × P Gram matrix of each cluster: poses are fewer than values.
+    Eigenvectors come from the Gram matrix of each cluster's poses or values, whichever are fewer;
+    once all clusters' eigenvalues are known, only those kept are computed.
 
     Args:
         visibility: of the training poses.
@@ -76,32 +78,36 @@ def reduce_output(
     width = slots.shape[1] * bands
     mean = np.zeros((len(slots), width), dtype=np.float32)
     values = np.zeros((len(slots), poses))
-    vectors = np.zeros((len(slots), poses, poses), dtype=np.float32)
 
-    def deviations(cluster: int) -> FloatArray:
+    def deviations(cluster: int) -> tuple[FloatArray, FloatArray]:
         own = slots[cluster]
         block = visibility[:, np.maximum(own, 0)] * (own >= 0)[:, None].astype(np.float32)
         block = block.reshape(poses, width)
         mean[cluster] = block.mean(axis=0, dtype=np.float64)
-        return block - mean[cluster]
+        block = block - mean[cluster]
+        gram = block @ block.T if poses <= width else block.T @ block
+        return block, gram.astype(np.float64) / poses
 
     energy = float(np.mean(np.square(visibility[:: max(1, poses // 16)]), dtype=np.float64))
     noise = ROUNDING * energy * width
     for cluster in range(len(slots)):
-        block = deviations(cluster)
-        gram = (block @ block.T).astype(np.float64) / poses
-        eigenvalues, eigenvectors = np.linalg.eigh(gram)
-        values[cluster] = np.where(eigenvalues > noise, eigenvalues, 0.0)[::-1]
+        _, gram = deviations(cluster)
+        eigenvalues = np.linalg.eigvalsh(gram)
+        values[cluster, : len(gram)] = np.where(eigenvalues > noise, eigenvalues, 0.0)[::-1]
         values[cluster, poses - 1 :] = 0.0  # deviations from a mean have one rank less
-        vectors[cluster] = eigenvectors[:, ::-1]
     latents = choose_counts(values, variance, average, step)
     targets = np.zeros((len(slots), poses, int(latents.max(initial=0))))
     basis = []
     for cluster, count in enumerate(latents):
-        block = deviations(cluster)
-        # components = Vᵀ X / √(P λ): orthonormal rows
-        scale = 1.0 / np.sqrt(poses * np.maximum(values[cluster, :count], 1e-300))
-        rows = (vectors[cluster, :, :count].T @ block) * scale[:, None]
+        block, gram = deviations(cluster)
+        rows = np.zeros((0, width))
+        if count > 0:
+            last = len(gram) - 1
+            _, found = scipy.linalg.eigh(gram, subset_by_index=(last + 1 - count, last))
+            rows = found.T[::-1]
+            if poses <= width:  # components = Vᵀ X / √(P λ): orthonormal rows
+                scale = 1.0 / np.sqrt(poses * np.maximum(values[cluster, :count, None], 1e-300))
+                rows = (rows @ block) * scale
         basis.append(rows.astype(np.float32))
         targets[cluster, :, :count] = block @ basis[-1].T
     return OutputReduction(mean, basis, latents, targets)

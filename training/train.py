@@ -18,12 +18,13 @@ from prtnet.errors import PrtnetError
 from prtnet.features import Features
 from prtnet.metrics import ErrorSum
 from prtnet.model import FORMAT_VERSION, Regressor, VisibilityModel
-from training.clusters import balanced_clusters, cluster_coordinates
+from training.clusters import balanced_clusters, cluster_coordinates, subdivide
 from training.config import TrainConfig
 from training.inputs import fit_joint_angles, fit_occluders, interior_edges
 from training.reduction import input_reduction, reduce_output
 from training.regression import Fit, average, fit_linear, fit_neural, total_iterations
 from training.selection import Fold, choose_alpha, folds_over_clips
+from training.signal_groups import regroup
 
 __all__ = ["Monitor", "Silent", "train"]
 
@@ -91,7 +92,10 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
     slots = balanced_clusters(coordinates, config.clusters, config.seed)
     latents = 0.0 if config.kind == "constant" else config.latents
-    output = reduce_output(visibility, slots, config.output_variance, latents)
+    latents /= config.parts
+    groups = subdivide(slots, coordinates, config.parts, config.seed)
+    groups = regroup(visibility, groups, config.parts, round(min(latents, len(rows))))
+    output = reduce_output(visibility, groups, config.output_variance, latents, config.step)
     del visibility
 
     watch.stage("features")
@@ -100,7 +104,7 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     mean, basis = input_reduction(values, config.input_variance, config.inputs)
     inputs = (np.swapaxes(values, 0, 1) - mean[:, None]) @ basis
     inputs = np.broadcast_to(inputs, (len(slots), *inputs.shape[1:]))
-    data = to_device(inputs, output.targets, config.device)
+    data = to_device(inputs, side_by_side(output.targets, config.parts), config.device)
 
     folds = folds_over_clips(dataset.read("sources", rows).astype(bool))
     alpha, trials = select(data, config, folds, watch)
@@ -116,14 +120,14 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
         features=features,
         input_mean=mean,
         input_basis=basis,
-        regressor=to_regressor(result),
+        regressor=to_regressor(result, config.parts),
         latents=output.latents.astype(np.int32),
-        receivers=slots,
+        receivers=groups,
         mean=output.mean,
         basis=np.concatenate(output.basis),
         rest_tangents=dataset.rest_tangents,
         metadata=describe(dataset, config, features, alpha, trials, fits),
-    )
+    ).stored_as(config.storage)
     report_errors(model, dataset, watch)
     model.metadata["seconds"] = {
         "fit": fit_seconds,
@@ -230,8 +234,15 @@ def convergence(fitted: Fit) -> dict[str, Any]:
     return {"clusters": clusters, "iterations": fitted.iterations.tolist()}
 
 
-def to_regressor(fitted: Fit) -> Regressor:
-    """As float32 NumPy arrays."""
+def side_by_side(targets: FloatArray, parts: int) -> FloatArray:
+    """Latents of groups (C · parts, P, L) as those of their clusters (C, P, parts · L)."""
+    groups, poses, count = targets.shape
+    split = targets.reshape(groups // parts, parts, poses, count)
+    return np.swapaxes(split, 1, 2).reshape(groups // parts, poses, parts * count)
+
+
+def to_regressor(fitted: Fit, parts: int) -> Regressor:
+    """As float32 NumPy arrays, the last layer split over each cluster's groups."""
 
     def array(tensor: Tensor | None) -> FloatArray | None:
         return None if tensor is None else tensor.cpu().numpy().astype(np.float32)
@@ -239,6 +250,12 @@ def to_regressor(fitted: Fit) -> Regressor:
     weight, bias = array(fitted.weight), array(fitted.bias)
     assert weight is not None
     assert bias is not None
+    clusters, inner, count = weight.shape
+    shape = (clusters * parts, inner, count // parts)
+    weight = np.swapaxes(weight.reshape(clusters, inner, parts, count // parts), 1, 2).reshape(
+        shape
+    )
+    bias = bias.reshape(shape[0], shape[2])
     return Regressor(weight, bias, array(fitted.hidden_weight), array(fitted.hidden_bias))
 
 

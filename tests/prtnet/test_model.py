@@ -8,6 +8,7 @@ import safetensors.numpy
 
 from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
+from prtnet.storage import STORAGES
 from tests.models import random_model, random_poses
 
 
@@ -17,27 +18,31 @@ def slow(model, pose):
     result = np.zeros((model.receiver_count, model.order**2))
     starts = np.concatenate([[0], np.cumsum(model.latents)])
     regressor = model.regressor
-    for cluster, slots in enumerate(model.receivers):
+    for group, slots in enumerate(model.receivers):
+        cluster = group // model.parts
         value = inputs[cluster]
         if regressor.hidden_weight is not None:
             value = np.tanh(
                 value @ regressor.hidden_weight[cluster] + regressor.hidden_bias[cluster]
             )
-        latent = value @ regressor.weight[cluster] + regressor.bias[cluster]
+        latent = value @ regressor.weight[group] + regressor.bias[group]
         for slot, receiver in enumerate(slots):
             if receiver < 0:
                 continue
             own = slice(slot * model.order**2, (slot + 1) * model.order**2)
-            result[receiver] = model.mean[cluster, own]
-            for k in range(model.latents[cluster]):
-                result[receiver] += latent[k] * model.basis[starts[cluster] + k, own]
+            result[receiver] = model.mean[group, own]
+            for k in range(model.latents[group]):
+                result[receiver] += latent[k] * model.basis[starts[group] + k, own]
     return result
 
 
 @pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
 @pytest.mark.parametrize("features", ["joint_angles", "dihedral_angles", "occluders"])
-def test_equals_the_definition(kind, features):
-    model = random_model(kind, features)
+@pytest.mark.parametrize("parts", [1, 3])
+def test_equals_the_definition(kind, features, parts):
+    model = random_model(kind, features, parts=parts)
+    shared = kind != "neural" and features != "occluders"
+    assert model.parts == (1 if shared else parts)  # sharing nothing but the inputs is no cluster
     poses = random_poses(3, 5)
     expected = np.stack([slow(model, pose) for pose in poses])
     assert np.allclose(model(poses), expected, rtol=1e-4, atol=1e-4)
@@ -56,13 +61,31 @@ def test_encode_inverts_decode_for_orthonormal_components():
 
 
 @pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
-def test_file_round_trip(kind, tmp_path):
-    model = random_model(kind)
+@pytest.mark.parametrize("storage", STORAGES)
+def test_file_round_trip(kind, storage, tmp_path):
+    model = random_model(kind, parts=2).stored_as(storage)
     model.save(tmp_path / "m.safetensors")
     again = VisibilityModel.load(tmp_path / "m.safetensors")
     poses = random_poses(2, 5)
-    assert again.kind == kind
+    assert (again.kind, again.storage) == (kind, storage)
     assert np.array_equal(again(poses), model(poses))
+    again.save(tmp_path / "again.safetensors")
+    files = [(tmp_path / f"{name}.safetensors").read_bytes() for name in ("m", "again")]
+    assert files[0] == files[1] or storage == "float16"  # halves may choose half the scale
+
+
+def test_fewer_bytes_err_little(tmp_path):
+    model = random_model(receivers=600)
+    poses = random_poses(20, 5)
+    expected, sizes = model(poses), {}
+    for storage, error in (("float32", 0.0), ("float16", 5e-4), ("int8", 1.5e-2)):
+        rounded = model.stored_as(storage)
+        rounded.save(tmp_path / "m.safetensors")
+        arrays = safetensors.numpy.load_file(tmp_path / "m.safetensors")
+        sizes[storage] = arrays["mean"].nbytes + arrays["basis"].nbytes
+        relative = np.linalg.norm(rounded(poses) - expected) / np.linalg.norm(expected)
+        assert error / 10 <= relative <= error, storage
+    assert sizes["float32"] == 2 * sizes["float16"] == 4 * sizes["int8"]
 
 
 def test_wrong_poses_are_told(tmp_path):
@@ -96,6 +119,9 @@ def rewrite(path, change_header=None, change_arrays=None):
         (None, lambda a: a.update(basis=a["basis"][1:]), "basis has shape"),
         (None, lambda a: a["mean"].fill(np.nan), "not finite"),
         (None, lambda a: a["receivers"].fill(0), "exactly one slot"),
+        (lambda h: h.update(storage="parchment"), None, "no storage is called parchment"),
+        (None, lambda a: a.update({"scale.mean": np.ones(3, np.float32)}), "does not fit mean"),
+        (None, lambda a: a.update({"scale.sun": np.ones(3, np.float32)}), "belongs to no array"),
         (None, lambda a: a["regressor.weight"].fill(np.inf), "weight holds values"),
         (None, lambda a: a["features.point"].fill(np.nan), "point holds values"),
         (

@@ -5,6 +5,7 @@ import onnx
 import onnxruntime
 import pytest
 
+from prtnet.storage import STORAGES
 from tests.models import random_model, random_poses
 from training.onnx_export import build_onnx, export_onnx
 from training.onnx_graph import OPSET, PORTABLE, GraphBuilder
@@ -35,6 +36,24 @@ def test_graph_equals_the_numpy_reference(kind, features, morphs):
         assert np.abs(got - expected).max() <= RELATIVE * np.abs(expected).max()
         if kind != "constant":
             assert np.ptp(run(model, random_poses(2, 5, morphs)), axis=0).max() > 0.1
+
+
+@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("parts", [1, 3])
+def test_fewer_bytes_and_more_groups_equal_the_reference(kind, storage, parts):
+    model = random_model(kind, receivers=900, parts=parts).stored_as(storage)
+    poses = random_poses(2, 5)
+    expected = model(poses)
+    assert np.abs(run(model, poses) - expected).max() <= RELATIVE * np.abs(expected).max()
+
+
+def test_the_file_shrinks_with_the_storage():
+    model = random_model(receivers=6000)
+    whole, half, quarter = (build_onnx(model.stored_as(storage)).ByteSize() for storage in STORAGES)
+    arrays = model.mean.nbytes + model.basis.nbytes
+    assert whole - half > 0.49 * arrays
+    assert whole - quarter > 0.74 * arrays
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])

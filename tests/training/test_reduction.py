@@ -18,8 +18,9 @@ def slots_of(receivers, clusters):
     return slots.reshape(clusters, capacity)
 
 
-def test_components_equal_scikit_learn():
-    visibility, slots = signal(), slots_of(20, 4)
+@pytest.mark.parametrize("poses", [12, 60])  # fewer and more than values
+def test_components_equal_scikit_learn(poses):
+    visibility, slots = signal(poses), slots_of(20, 4)
     output = reduce_output(visibility, slots, variance=1.0)
     for cluster, own in enumerate(slots):
         block = visibility[:, own].reshape(len(visibility), -1).astype(np.float64)

@@ -52,6 +52,24 @@ def test_networks_are_averaged_into_one():
     assert model.regressor.hidden_bias.shape == (4, 18)
 
 
+@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+def test_parts_and_storage_from_configuration_to_file(kind, tmp_path):
+    data = memory_dataset()
+    config = dataclasses.replace(SMALL, kind=kind, parts=3, step=1, latents=6, storage="int8")
+    model = train(data, config)
+    assert (model.parts, model.storage) == (3, "int8")
+    assert model.receivers.shape == (12, 5)
+    model.save(tmp_path / "m.safetensors")
+    again = VisibilityModel.load(tmp_path / "m.safetensors")
+    poses = data.read("pose", data.training_poses())
+    assert np.array_equal(again(poses), model(poses))
+    truth = data.read("visibility", data.training_poses())
+    error = np.linalg.norm(model(poses) - truth) / np.linalg.norm(truth)
+    assert model.metadata["training_error"]["rms"] == pytest.approx(error, rel=1e-5)
+    if kind == "neural":
+        assert error < 0.7 * np.linalg.norm(truth - truth.mean(axis=0)) / np.linalg.norm(truth)
+
+
 def test_constant_kind_predicts_the_training_mean():
     data = memory_dataset()
     model = train(data, dataclasses.replace(SMALL, kind="constant"))
@@ -149,5 +167,5 @@ def test_impossible_requests_are_told():
 
 
 def test_presets_are_valid_and_differ():
-    assert {"default", "small", "large", "paper"} == set(PRESETS)
+    assert {"default", "small", "fast", "large", "paper"} == set(PRESETS)
     assert len({tuple(dataclasses.asdict(p).items()) for p in PRESETS.values()}) == len(PRESETS)

@@ -1,0 +1,59 @@
+"""Bytes and error of a model of the human stored as float32, float16 and int8.
+
+python bench/storage.py [--write]
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+from tables import HUMAN, OUT, dataset, per_cent, publish
+
+from prtnet.metrics import ErrorSum
+from prtnet.model import VisibilityModel
+from prtnet.storage import STORAGES
+from training.export import export_folder
+
+MODELS = {
+    "clips and 600 sampled poses, neural, occluders, 14 latents": "14 latents",
+    "clips and 600 sampled poses, preset fast": "preset fast",
+}
+
+
+def main() -> None:
+    """Every storage of both models: what lies on disk and on the GPU, and the held-out error."""
+    data = dataset("human", "human.glb", HUMAN)
+    held_out = data.held_out_poses()
+    rows = []
+    for name, label in MODELS.items():
+        path = OUT / f"human {name}.safetensors"
+        if not path.exists():
+            sys.exit(f"{path} is not there: run bench/models.py human first")
+        trained = VisibilityModel.load(path)
+        for storage in STORAGES:
+            model, error = trained.stored_as(storage), ErrorSum()
+            for start in range(0, len(held_out), 16):
+                block = held_out[start : start + 16]
+                error.add(model(data.read("pose", block)), data.read("visibility", block))
+            with tempfile.TemporaryDirectory() as folder:
+                file = Path(folder) / "model.safetensors"
+                model.save(file)
+                sizes = export_folder(model, Path(folder) / "export")
+                sizes["file"] = file.stat().st_size
+            shown = ("file", "model.onnx", "gpu.bin", "latent.onnx")
+            rows.append(
+                [
+                    f"{label}, {storage}",
+                    per_cent(error.summary()["rms"]),
+                    *(f"{sizes[part] / 1e6:.2f}" for part in shown),
+                ]
+            )
+            print(rows[-1], flush=True)
+    columns = ("human", "held-out", "MB", "MB of ONNX", "MB on the GPU", "MB of latent ONNX")
+    publish("storage", columns, rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""The end of every graph: from a cluster's last layer to latents, and from those to visibility.
+
+Latents of all groups of receivers come out of one batched product, in one flat vector. Groups with
+equally many latents are then rebuilt by one batched product each; a last latent that is always one
+carries their mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from prtnet.arrays import FloatArray, IntArray
+from prtnet.model import VisibilityModel
+from prtnet.storage import Stored
+from training.onnx_graph import GraphBuilder
+
+__all__ = ["LatentLayer", "latent_layer", "visibility_nodes"]
+
+
+@dataclass(frozen=True, eq=False)
+class LatentLayer:
+    """The layer that gives every cluster's latents, and where to find them.
+
+    Attributes:
+        weight, bias: (C, N or K, M) as stored and (C, 1, M): the latents of a cluster's groups
+            side by side, then zeros, then a one in the last column.
+        first: where each group's latents begin in the flattened (C · M), (G,).
+        one: where there is a one.
+    """
+
+    weight: Stored
+    bias: FloatArray
+    first: IntArray
+    one: int
+
+
+def latent_layer(model: VisibilityModel) -> LatentLayer:
+    """The last layer of the model's regressor."""
+    stored = model.stored("regressor.weight")
+    groups, inner, most = stored.values.shape
+    clusters = groups // model.parts
+    cluster = np.arange(groups) // model.parts
+    counts = model.latents.reshape(clusters, model.parts)
+    before = (np.cumsum(counts, axis=1) - counts).ravel()
+    width = int(counts.sum(axis=1).max()) + 1
+    values = np.zeros((clusters, inner, width), dtype=stored.values.dtype)
+    scale = np.ones((clusters, 1, width), dtype=np.float32)
+    bias = np.zeros((clusters, 1, width))
+    bias[..., -1] = 1.0
+    every = np.broadcast_to(stored.scale, (groups, 1, most))
+    for group, count in enumerate(model.latents):
+        own = slice(before[group], before[group] + count)
+        values[cluster[group], :, own] = stored.values[group, :, :count]
+        scale[cluster[group], 0, own] = every[group, 0, :count]
+        bias[cluster[group], 0, own] = model.regressor.bias[group, :count]
+    return LatentLayer(Stored(values, scale), bias, cluster * width + before, width - 1)
+
+
+def visibility_nodes(
+    graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer, latents: str
+) -> None:
+    """``visibility`` (P, V, n²) of flat latents (P, C · M)."""
+    order = np.argsort(model.latents, kind="stable")
+    parts = []
+    for count in np.unique(model.latents):
+        groups = order[model.latents[order] == count]
+        index = np.full((len(groups), 1, count + 1), layer.one)
+        index[:, 0, :count] = layer.first[groups, None] + np.arange(count)
+        own = graph.node("Gather", latents, graph.constant(index), axis=1)
+        slots = graph.node("MatMul", own, row_nodes(graph, model, groups, int(count)))
+        size = len(groups) * model.receivers.shape[1]
+        parts.append(graph.reshape(slots, [-1, size, model.order**2]))
+    every = parts[0] if len(parts) == 1 else graph.node("Concat", *parts, axis=1)
+    position = np.empty_like(order)
+    position[order] = np.arange(len(order))
+    group, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
+    place = position[group] * model.receivers.shape[1] + slot
+    receivers = graph.initializer(place.astype(np.int32))
+    graph.node("Gather", every, receivers, axis=1, output="visibility")
+
+
+def row_nodes(graph: GraphBuilder, model: VisibilityModel, groups: IntArray, count: int) -> str:
+    """(G', count + 1, R · n²) the groups' components, then their means, as they are stored."""
+    starts = np.cumsum(model.latents) - model.latents
+    rows = starts[groups, None] + np.arange(count)  # [G', count]
+    basis, mean = model.stored("basis"), model.stored("mean")
+    means = Stored(mean.values[groups][:, None], mean.scale[None], mean.offset)
+    if count == 0:
+        return graph.stored(means)
+    every = Stored(basis.values[rows], np.broadcast_to(basis.scale, (len(basis.values), 1))[rows])
+    if model.storage == "float32":
+        return graph.constant(np.concatenate([every.values, means.values], axis=1))
+    return graph.node("Concat", graph.stored(every), graph.stored(means), axis=1)
