@@ -33,6 +33,14 @@ def test_what_was_read_back_is_stored_the_same(packing, seed, magnitude):
         assert np.array_equal(twice.scale, once.scale)
 
 
+def test_coarse_scales_survive_the_rounding_of_the_values():
+    rng = np.random.default_rng(0)
+    array = (rng.normal(size=(20_000, 12)) * rng.uniform(0.01, 9, (20_000, 1))).astype(np.float32)
+    packing = Packing("int8", period=3, offset=OFFSET)
+    once = quantise(array, packing)
+    assert np.array_equal(quantise(once.array(), packing).scale, once.scale)
+
+
 def test_eight_bits_err_by_half_a_step_of_their_row():
     array = table()
     stored = quantise(array, Packing("int8"))
