@@ -18,10 +18,15 @@ Array = TypeVar("Array", "FloatArray", "torch.Tensor")
 
 
 def library(array: Any) -> Any:
-    """``torch`` for a tensor, else ``numpy``. Does not import torch: a tensor's owner has."""
+    """``torch`` for a tensor, what an object names as its library itself, else ``numpy``.
+
+    Does not import torch: a tensor's owner has.
+    """
     torch_module = sys.modules.get("torch")
     if torch_module is not None and isinstance(array, torch_module.Tensor):
         return torch_module
+    if not isinstance(array, np.ndarray) and hasattr(array, "__array_namespace__"):
+        return array.__array_namespace__()
     return np
 
 

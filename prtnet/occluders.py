@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from prtnet.array_library import library
+
 if TYPE_CHECKING:
     from prtnet.arrays import FloatArray, IntArray
 
@@ -43,7 +45,7 @@ def cap_integrals(cosine: FloatArray, order: int) -> FloatArray:
 
 def cap_integral_rows(cosine: FloatArray, order: int) -> list[FloatArray]:
     """The same, one array for each l; P_l by Bonnet's recursion."""
-    legendre = [np.ones_like(cosine), cosine]
+    legendre = [library(cosine).ones_like(cosine), cosine]
     for degree in range(1, order):
         ahead = (2 * degree + 1) * cosine * legendre[degree] - degree * legendre[degree - 1]
         legendre.append(ahead / (degree + 1))

@@ -1,9 +1,9 @@
 """Priors: what every receiver's surroundings say of its visibility, before any cluster speaks.
 
-Two of them. *Maps*: a linear map for each cluster from the sums over caps and their saturated form
-to the deviation of visibility from its mean. *Network*: one small network of tanh layers for all
-receivers, which also sees each receiver's mean visibility and a few learned numbers of its own.
-Features are kept within the range of training; outside it both go on as at its border.
+Two of them. *Maps*: a linear map for each cluster from what receivers see, and from its saturated
+form, to a part of their visibility. *Network*: one small network of tanh layers for all receivers,
+which also sees a few learned numbers of each receiver's own. Features are kept within the range of
+training; outside it both go on as at its border.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from prtnet.surroundings import Surroundings
 
 __all__ = ["MapPrior", "NetworkPrior", "Prior", "prior_from_arrays", "saturated"]
 
-SURROUNDINGS: dict[str, type[SkinSurroundings]] = {SkinSurroundings.kind: SkinSurroundings}
+SURROUNDINGS: dict[str, Any] = {SkinSurroundings.kind: SkinSurroundings}
 
 
 class Prior(ABC):
-    """Flattened poses (P, D) to deviations (P, V, n²) from the mean visibility.
+    """Flattened poses (P, D) to a part of visibility (P, V, n²).
 
     Attributes:
         surroundings: what receivers see.
@@ -36,27 +36,32 @@ class Prior(ABC):
     low: FloatArray
     high: FloatArray
 
-    def __call__(self, poses: FloatArray, mean: FloatArray) -> FloatArray:
-        """Deviations (P, V, n²) float32; ``mean`` is the model's mean visibility, (V, n²)."""
+    def __call__(self, poses: FloatArray) -> FloatArray:
+        """Visibility (P, V, n²) float32, to be added to what clusters predict."""
         everyone = np.arange(self.surroundings.receiver_count)
-        out = np.empty((len(poses), *mean.shape), dtype=np.float32)
-        for pose in range(len(poses)):
-            features = self.surroundings(poses[pose : pose + 1])[0]
-            out[pose] = self.deviation(features, everyone, mean)
-        return out
+        parts = [self.of_features(self.surroundings(pose[None])[0], everyone) for pose in poses]
+        return np.stack(parts)
+
+    def of_features(self, features: FloatArray, receivers: IntArray) -> FloatArray:
+        """Visibility (N, n²) float32 of receivers (N,) that see ``features`` (N, F)."""
+        return self._answer(np.clip(features, self.low, self.high), receivers)
 
     @abstractmethod
-    def deviation(self, features: FloatArray, receivers: IntArray, mean: FloatArray) -> FloatArray:
-        """Deviations (N, n²) of receivers (N,) that see ``features`` (N, F)."""
+    def _answer(self, features: FloatArray, receivers: IntArray) -> FloatArray:
+        """The same of features within their range."""
 
     def arrays(self) -> dict[str, Any]:
-        """The arrays that define it, those of its surroundings under ``sees.…``."""
-        seen = {f"sees.{name}": array for name, array in self.surroundings.arrays().items()}
-        return {**seen, **self.own_arrays()}
+        """The arrays that define it, those of its surroundings under ``sees_…``."""
+        seen = {f"sees_{name}": array for name, array in self.surroundings.arrays().items()}
+        return {**seen, "low": self.low, "high": self.high, **self.matrices()}
 
     @abstractmethod
-    def own_arrays(self) -> dict[str, FloatArray | IntArray]:
-        """The arrays besides those of the surroundings."""
+    def matrices(self) -> dict[str, Any]:
+        """The learned arrays, by name."""
+
+    @abstractmethod
+    def with_matrices(self, matrices: dict[str, Any]) -> Prior:
+        """The same with other learned arrays."""
 
 
 def saturated(features: FloatArray) -> FloatArray:
@@ -70,8 +75,7 @@ class MapPrior(Prior):
 
     Attributes:
         cluster: of each receiver, (V,).
-        maps: from features and their saturated form to deviations, (C, 2 · F, n²).
-        shift: added at each receiver, so that its deviation has no mean in training, (V, n²).
+        maps: from features and their saturated form, (C, 2 · F, n²).
     """
 
     kind: ClassVar[str] = "maps"
@@ -80,34 +84,36 @@ class MapPrior(Prior):
     high: FloatArray
     cluster: IntArray
     maps: FloatArray
-    shift: FloatArray
 
-    def deviation(self, features: FloatArray, receivers: IntArray, mean: FloatArray) -> FloatArray:
-        """See :class:`Prior`."""
-        kept = np.clip(features, self.low, self.high)
-        both = np.concatenate([kept, saturated(kept)], axis=-1)
-        out = self.shift[receivers].astype(np.float32)
+    def _answer(self, features: FloatArray, receivers: IntArray) -> FloatArray:
+        both = np.concatenate([features, saturated(features)], axis=-1)
+        out = np.empty((len(receivers), self.maps.shape[2]), dtype=np.float32)
         own = self.cluster[receivers]
         for cluster in np.unique(own):
             members = own == cluster
-            out[members] += both[members] @ self.maps[cluster]
+            out[members] = both[members] @ self.maps[cluster]
         return out
 
-    def own_arrays(self) -> dict[str, FloatArray | IntArray]:
+    def matrices(self) -> dict[str, Any]:
         """See :class:`Prior`."""
-        names = ("low", "high", "cluster", "maps", "shift")
-        return {name: getattr(self, name) for name in names}
+        return {"cluster": self.cluster, "maps": self.maps}
+
+    def with_matrices(self, matrices: dict[str, Any]) -> MapPrior:
+        """See :class:`Prior`."""
+        if matrices["maps"].shape[1] != 2 * len(self.low):
+            raise ValueError("prior.maps does not fit the features")
+        if matrices["cluster"].max() >= len(matrices["maps"]):
+            raise ValueError("prior.maps does not fit the clusters")
+        return MapPrior(self.surroundings, self.low, self.high, **matrices)
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkPrior(Prior):
-    """One network for all receivers.
-
-    Its inputs: the features, their saturated form, the receiver's mean visibility, its code.
+    """One network for all receivers, of the features and the receiver's code.
 
     Attributes:
         code: learned numbers of each receiver, (V, G).
-        weights, biases: of the layers, (inputs, neurons), …, (neurons, n²); tanh between them.
+        weights, biases: of the layers, (F + G, neurons), …, (neurons, n²); tanh between them.
     """
 
     kind: ClassVar[str] = "network"
@@ -118,21 +124,31 @@ class NetworkPrior(Prior):
     weights: tuple[FloatArray, ...]
     biases: tuple[FloatArray, ...]
 
-    def deviation(self, features: FloatArray, receivers: IntArray, mean: FloatArray) -> FloatArray:
-        """See :class:`Prior`."""
-        kept = np.clip(features, self.low, self.high)
-        value = np.concatenate(
-            [kept, saturated(kept), mean[receivers], self.code[receivers]], axis=-1
-        )
+    def _answer(self, features: FloatArray, receivers: IntArray) -> FloatArray:
+        value = np.concatenate([features, self.code[receivers]], axis=-1)
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             value = (np.tanh(value) if layer else value) @ weight + bias
         return value.astype(np.float32, copy=False)
 
-    def own_arrays(self) -> dict[str, FloatArray | IntArray]:
+    def matrices(self) -> dict[str, Any]:
         """See :class:`Prior`."""
         layers = {f"weight{i}": weight for i, weight in enumerate(self.weights)}
         layers |= {f"bias{i}": bias for i, bias in enumerate(self.biases)}
-        return {"low": self.low, "high": self.high, "code": self.code, **layers}
+        return {"code": self.code, **layers}
+
+    def with_matrices(self, matrices: dict[str, Any]) -> NetworkPrior:
+        """See :class:`Prior`."""
+        layers = range(sum(name.startswith("weight") for name in matrices))
+        weights = tuple(matrices[f"weight{i}"] for i in layers)
+        biases = tuple(matrices[f"bias{i}"] for i in layers)
+        width = len(self.low) + matrices["code"].shape[1]
+        for weight, bias in zip(weights, biases, strict=True):
+            if weight.shape != (width, len(bias)):
+                raise ValueError("the layers of the prior's network do not fit each other")
+            width = len(bias)
+        return NetworkPrior(
+            self.surroundings, self.low, self.high, matrices["code"], weights, biases
+        )
 
 
 def prior_from_arrays(kind: str, seen: str, arrays: dict[str, Any]) -> Prior:
@@ -147,24 +163,19 @@ def prior_from_arrays(kind: str, seen: str, arrays: dict[str, Any]) -> Prior:
         KeyError: an array is missing, or a kind is unknown.
         ValueError: arrays do not fit each other.
     """
-    inner = {n.removeprefix("sees."): a for n, a in arrays.items() if n.startswith("sees.")}
-    surroundings = SURROUNDINGS[seen].from_arrays(inner)
+    inner = {n.removeprefix("sees_"): a for n, a in arrays.items() if n.startswith("sees_")}
+    surroundings: Surroundings = SURROUNDINGS[seen].from_arrays(inner)
     low, high = arrays["low"], arrays["high"]
     if low.shape != (surroundings.feature_count,) or high.shape != low.shape:
         raise ValueError("prior.low and prior.high do not fit the features")
-    if kind == MapPrior.kind:
-        own = {name: arrays[name] for name in ("cluster", "maps", "shift")}
-        if own["maps"].shape[1] != 2 * len(low) or own["cluster"].max() >= len(own["maps"]):
-            raise ValueError("prior.maps does not fit the features and clusters")
-        return MapPrior(surroundings, low, high, **own)
-    if kind == NetworkPrior.kind:
-        layers = range(sum(name.startswith("weight") for name in arrays))
-        weights = tuple(arrays[f"weight{i}"] for i in layers)
-        biases = tuple(arrays[f"bias{i}"] for i in layers)
-        width = 2 * len(low) + weights[-1].shape[1] + arrays["code"].shape[1]
-        for weight, bias in zip(weights, biases, strict=True):
-            if weight.shape != (width, len(bias)):
-                raise ValueError("the layers of the prior's network do not fit each other")
-            width = len(bias)
-        return NetworkPrior(surroundings, low, high, arrays["code"], weights, biases)
-    raise KeyError(kind)
+    learned = {
+        name: array
+        for name, array in arrays.items()
+        if name not in ("low", "high") and not name.startswith("sees_")
+    }
+    empty = np.zeros((0, 0), dtype=np.float32)
+    frames: dict[str, Prior] = {
+        MapPrior.kind: MapPrior(surroundings, low, high, np.zeros(0, dtype=np.int32), empty),
+        NetworkPrior.kind: NetworkPrior(surroundings, low, high, empty, (), ()),
+    }
+    return frames[kind].with_matrices(learned)

@@ -22,7 +22,7 @@ OPSET = 15
 PORTABLE = frozenset(
     (
         *("Add", "Cast", "Clip", "Concat", "Div", "Gather", "MatMul", "Mul", "ReduceSum"),
-        *("Reshape", "Slice", "Sqrt", "Sub", "Tanh", "Transpose"),
+        *("Relu", "Reshape", "Slice", "Sqrt", "Sub", "Tanh", "Transpose"),
     )
 )
 

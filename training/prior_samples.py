@@ -7,11 +7,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.surroundings import Surroundings
 
-__all__ = ["Samples", "draw_samples", "every_prediction"]
+__all__ = ["Samples", "draw_samples"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,31 +67,9 @@ def draw_samples(
         return own, surroundings.at(poses[row], own), visibility[row, own] - mean[own]
 
     parts = []
-    with ThreadPoolExecutor(threads()) as pool:
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         for done, part in enumerate(pool.map(work, range(len(poses))), start=1):
             parts.append(part)
             progress(done, len(poses))
     own, seen, deviation = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Samples(seen, deviation, own, np.repeat(np.arange(len(poses)), each))
-
-
-def every_prediction(
-    predict: Callable[[FloatArray], FloatArray],
-    poses: FloatArray,
-    progress: Callable[[int, int], object],
-) -> FloatArray:
-    """A prior's answers to all poses (P, D), (P, V, n²), a pose at a time on every core."""
-    parts = []
-    with ThreadPoolExecutor(threads()) as pool:
-        tasks = pool.map(lambda row: predict(poses[row : row + 1])[0], range(len(poses)))
-        for done, part in enumerate(tasks, start=1):
-            parts.append(part)
-            progress(done, len(poses))
-    return np.stack(parts)
-
-
-def threads() -> int:
-    """As many as torch was told to use."""
-    import torch
-
-    return torch.get_num_threads()

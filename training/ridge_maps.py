@@ -15,11 +15,11 @@ RIDGE = 1e-3  # of the features' mean square
 
 def fit_maps(
     samples: Samples, cluster: IntArray, clusters: int, receivers: int, ridge: float = RIDGE
-) -> tuple[FloatArray, FloatArray]:
-    """Maps (C, 2 · F, n²) and each receiver's shift (V, n²).
+) -> FloatArray:
+    """Maps (C, 2 · F, n²).
 
     Features count as deviations from each receiver's own mean, so a map says what changes with
-    the pose and not how receivers differ; the shift takes the mean back.
+    the pose and not how receivers differ.
 
     Args:
         samples: pairs of a pose and a receiver.
@@ -46,5 +46,4 @@ def fit_maps(
         if level > 0:
             right = x.T @ samples.deviation[own == index]
             maps[index] = np.linalg.solve(gram + level * np.eye(len(gram)), right)
-    shift = -np.einsum("vf,vfi->vi", mean, maps[cluster])
-    return maps.astype(np.float32), shift.astype(np.float32)
+    return maps.astype(np.float32)

@@ -84,7 +84,7 @@ def fit_network(
 
     Args:
         samples: pairs of a pose and a receiver.
-        mean: the model's mean visibility, (V, n²).
+        mean: visibility's mean over the training poses, (V, n²).
         config: size and effort.
         device: where torch computes.
         on_step: called now and then with steps done, steps in all and the relative loss.
@@ -93,12 +93,8 @@ def fit_network(
     features = torch.from_numpy(samples.features).to(device)
     target = torch.from_numpy(samples.deviation).to(device)
     receiver = torch.from_numpy(samples.receiver.astype(np.int64)).to(device)
-    static = torch.from_numpy(mean.astype(np.float32)).to(device)
-    both = torch.cat([features, features / (1.0 + 0.5 * features.abs())], dim=1)
-    shift = torch.cat([both.mean(0), static.mean(0)])
-    spread = torch.cat([both.std(0), static.std(0)]).nan_to_num(0.0)
+    shift, spread = features.mean(0), features.std(0).nan_to_num(0.0)
     scale = torch.where(spread > QUIET, 1.0 / spread.clamp(min=QUIET), 0.0)
-    del both
     energy = float(target.square().sum(1).mean()) or 1.0
 
     start = starting_codes(samples, mean, config.codes).astype(np.float32)
@@ -113,9 +109,7 @@ def fit_network(
     smooth = [p.detach().clone() for p in (*inner, code)]
 
     def predict(rows: Tensor) -> Tensor:
-        seen, own = features[rows], receiver[rows]
-        seen = torch.cat([seen, seen / (1.0 + 0.5 * seen.abs()), static[own]], dim=1)
-        value = torch.cat([(seen - shift) * scale, code[own]], dim=1)
+        value = torch.cat([(features[rows] - shift) * scale, code[receiver[rows]]], dim=1)
         for index, layer in enumerate(layers):
             value = layer(torch.tanh(value) if index else value)
         return value
