@@ -333,15 +333,19 @@ def chosen(options: EvaluateOptions, known: Sequence[str]) -> Sequence[str]:
 
 
 def in_per_cent(results: Mapping[str, Any]) -> dict[str, Any]:
-    """Results with their errors as a person reads them."""
+    """Results with their errors as a person reads them, without the list of poses."""
     fractions = {"rms", "p99", "max", "signal", "nearest", "pca_floor"}
     shown: dict[str, Any] = {}
     for name, value in results.items():
-        if isinstance(value, Mapping):
+        if name.endswith("distance"):
+            shown[name] = "–" if value is None else f"{value['mean']:.3f}"
+        elif name == "coherence":
+            shown[name] = "–" if value is None else f"{value:.2f}"
+        elif isinstance(value, Mapping):
             shown[name] = in_per_cent(value)
         elif name in fractions and value is not None:
             shown[name] = f"{100 * value:.2f} %"
-        else:
+        elif name != "poses":
             shown[name] = value
     return shown
 

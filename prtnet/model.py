@@ -22,6 +22,7 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
 from prtnet.features import Features, features_from_arrays
 from prtnet.files import writing
+from prtnet.novelty import fade, novelty
 
 __all__ = ["FORMAT_VERSION", "KINDS", "Regressor", "VisibilityModel"]
 
@@ -73,6 +74,8 @@ class VisibilityModel:
         basis: the clusters' principal components one after the other, (Σ latents, R · n²).
         rest_tangents: receivers' tangents at rest, (V, 3): they fix the local frames.
         metadata: format version, configuration, training and held-out errors, fingerprints.
+        input_low, input_high: range of the training poses' reduced inputs, (1 or C, K); None for a
+            model that neither clamps its inputs nor fades far from training.
     """
 
     kind: str
@@ -87,6 +90,8 @@ class VisibilityModel:
     basis: FloatArray
     rest_tangents: FloatArray
     metadata: dict[str, Any] = field(default_factory=dict)
+    input_low: FloatArray | None = None
+    input_high: FloatArray | None = None
 
     @property
     def receiver_count(self) -> int:
@@ -134,7 +139,21 @@ class VisibilityModel:
     def latent(self, poses: FloatArray) -> FloatArray:
         """Latents (P, C, L) of flattened poses (P, D); those a cluster does not use are zero."""
         used = np.arange(self.regressor.weight.shape[-1]) < self.latents[:, None]
-        return np.where(used, self.regressor(self.reduced(poses)), 0.0)
+        inputs = self.reduced(poses)
+        if self.input_low is None or self.input_high is None:
+            return np.where(used, self.regressor(inputs), 0.0)
+        known = np.clip(inputs, self.input_low, self.input_high)
+        strength = fade(novelty(inputs, self.input_low, self.input_high)).astype(np.float32)
+        return np.where(used, self.regressor(known) * strength[..., None], 0.0)
+
+    def novelty(self, poses: FloatArray) -> FloatArray | None:
+        """How far each cluster is from its training poses, (P, C), of flattened poses (P, D).
+
+        See :func:`prtnet.novelty.novelty`; None where the model does not know its training range.
+        """
+        if self.input_low is None or self.input_high is None:
+            return None
+        return novelty(self.reduced(poses), self.input_low, self.input_high)
 
     def decode(self, latent: FloatArray) -> FloatArray:
         """Visibility (P, V, n²) float32 of latents (P, C, L)."""
@@ -166,6 +185,11 @@ class VisibilityModel:
         self.check_pose(poses)
         return self.decode(self.latent(poses))
 
+    def training_range(self) -> dict[str, FloatArray]:
+        """The arrays ``input_low`` and ``input_high`` by name; none where they are not known."""
+        named = {name: getattr(self, name) for name in RANGE_ARRAYS}
+        return {name: array for name, array in named.items() if array is not None}
+
     def save(self, path: str | Path) -> None:
         """Write one ``.safetensors`` file: arrays, and a JSON header in its metadata."""
         header = {
@@ -175,7 +199,7 @@ class VisibilityModel:
             "order": self.order,
             "features": self.features.kind,
         }
-        arrays = {name: getattr(self, name) for name in ARRAYS}
+        arrays = {name: getattr(self, name) for name in ARRAYS} | self.training_range()
         arrays |= {f"regressor.{name}": a for name, a in self.regressor.arrays().items()}
         arrays |= {f"features.{name}": a for name, a in self.features.arrays().items()}
         arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
@@ -210,6 +234,8 @@ class VisibilityModel:
                 regressor=Regressor(**parts["regressor"]),
                 **{name: arrays[name] for name in ARRAYS},
                 metadata=header,
+                input_low=arrays.get("input_low"),
+                input_high=arrays.get("input_high"),
             )
             check_shapes(model)
         except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -220,6 +246,7 @@ class VisibilityModel:
 
 
 ARRAYS = ("input_mean", "input_basis", "latents", "receivers", "mean", "basis", "rest_tangents")
+RANGE_ARRAYS = ("input_low", "input_high")
 
 
 def read(path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
@@ -264,7 +291,10 @@ def check_shapes(model: VisibilityModel) -> None:
         model.regressor.weight.shape[2] < width
     ):
         raise ValueError("regressor.weight does not fit the clusters, inputs and latents")
-    every = {name: getattr(model, name) for name in ARRAYS}
+    span = model.training_range()
+    if span and [a.shape for a in span.values()] != 2 * [model.input_basis[:, 0].shape]:
+        raise ValueError("input_low and input_high do not fit the inputs, or one is missing")
+    every = {name: getattr(model, name) for name in ARRAYS} | span
     every |= model.regressor.arrays() | model.features.arrays()
     for name, array in every.items():
         if not np.isfinite(array).all():

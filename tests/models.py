@@ -60,8 +60,12 @@ def random_model(
     receivers: int = 40,
     feature_order: int = 3,
     seed: int = 0,
+    clamped: bool = True,
 ) -> VisibilityModel:
-    """A model whose every array is random, with clusters of unequally many latents."""
+    """A model whose every array is random, with clusters of unequally many latents.
+
+    With ``clamped`` it has a training range that random poses are now inside and now outside of.
+    """
     rng = np.random.default_rng(seed)
     seen = random_features(features, joints, clusters, feature_order, seed)
     width = seen(random_poses(1, joints, morphs)).shape[-1]
@@ -97,4 +101,6 @@ def random_model(
         basis=normal(int(latents.sum()), capacity * order**2),
         rest_tangents=normal(receivers, 3),
         metadata={"pose_size": 12 * joints + morphs, "format_version": 1},
+        input_low=-np.abs(normal(shared, inputs)) if clamped else None,
+        input_high=np.abs(normal(shared, inputs)) if clamped else None,
     )

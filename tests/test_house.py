@@ -186,7 +186,8 @@ def test_links_lead_somewhere(document: Path) -> None:
 def test_formats_name_everything_in_a_dataset_and_a_model() -> None:
     text = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
     named = set(re.findall(r"`([a-z_0-9]+)`", text))
-    arrays = (*dataset.POSE_ARRAYS, *dataset.FIXED_ARRAYS, *dataset.SKIN_ARRAYS, *model.ARRAYS)
+    arrays = (*dataset.POSE_ARRAYS, *dataset.FIXED_ARRAYS, *dataset.SKIN_ARRAYS,
+              *model.ARRAYS, *model.RANGE_ARRAYS)  # fmt: skip
     assert {*arrays, *dataset.ATTRIBUTES, "format_version"} - named == set()
 
 

@@ -16,6 +16,7 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.features import FULL_FOLD, SMALLEST, DihedralAngles, Features, JointAngles, Occluders
 from prtnet.files import writing
 from prtnet.model import VisibilityModel
+from prtnet.novelty import FADE_SCALE, box_size
 from training.onnx_graph import GraphBuilder
 
 __all__ = ["build_onnx", "export_onnx"]
@@ -219,10 +220,18 @@ def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> st
     return graph.node("Concat", value, copies, axis=2)
 
 
-def first_layer_nodes(
-    graph: GraphBuilder, model: VisibilityModel, value: str, first: FloatArray, order: IntArray
+def reduced_nodes(
+    graph: GraphBuilder,
+    model: VisibilityModel,
+    value: str,
+    last: FloatArray | None,
+    order: IntArray,
 ) -> str:
-    """(P, C, 1, N): features through the input PCA and the first layer, clusters in ``order``."""
+    """Features (P, 1 or C, F) through the input PCA, clusters in ``order``.
+
+    Returns:
+        (P, 1 or C, 1, K), or (P, C, 1, N) where ``last`` (C, K, N) follows.
+    """
     size = model.input_mean.shape[1]
     mean: FloatArray = model.input_mean.astype(np.float64)
     basis = model.input_basis.astype(np.float64)
@@ -230,7 +239,7 @@ def first_layer_nodes(
         value = graph.reshape(value, [-1, 1, 1, size])
         centred = graph.node("Sub", value, graph.constant(mean[0]))
         reduced = graph.node("MatMul", centred, graph.constant(basis[0]))
-        return graph.node("MatMul", reduced, graph.constant(first[order]))
+        return reduced if last is None else matmul(graph, reduced, last[order])
     # Everything linear in a cluster's features is one matrix.
     caps = model.features.point.shape[1] * model.features.order**2
     linear: FloatArray = np.eye(size)
@@ -242,7 +251,66 @@ def first_layer_nodes(
         value = graph.node("Gather", value, graph.constant(order), axis=1)
     mean = np.linalg.solve(linear.T, mean[order][..., None])[..., 0]
     centred = graph.node("Sub", value, graph.constant(mean[:, None]))
-    return graph.node("MatMul", centred, graph.constant(linear @ basis[order] @ first[order]))
+    matrices = linear @ basis[order]
+    return matmul(graph, centred, matrices if last is None else matrices @ last[order])
+
+
+def matmul(graph: GraphBuilder, value: str, matrices: FloatArray) -> str:
+    """Rows (P, 1 or C, 1, K) times a matrix of each cluster, (C, K, N)."""
+    return graph.node("MatMul", value, graph.constant(matrices))
+
+
+def clamp_nodes(
+    graph: GraphBuilder, value: str, low: FloatArray, high: FloatArray
+) -> tuple[str, str]:
+    """Clamp reduced inputs (P, 1 or C, 1, K) to their box (1 or C, K); and the latents' fade.
+
+    ``Clip`` takes scalar bounds only, and Min and Max are not portable: Relu says how far outside
+    inputs are. Inside the box the result is exact; far outside, where a large number is taken from
+    another, the fade leaves nothing of the difference.
+    """
+    bottom, top = graph.constant(low[:, None]), graph.constant(high[:, None])
+    above = graph.node("Relu", graph.node("Sub", value, top))
+    below = graph.node("Relu", graph.node("Sub", bottom, value))
+    outside = graph.node("Sub", above, below)
+    known = graph.node("Sub", value, outside)
+    scale = 1.0 / (FADE_SCALE * box_size(low, high))
+    outside = graph.node("Mul", outside, graph.constant(scale[:, None, None]))
+    square = graph.total(graph.node("Mul", outside, outside), 3, keep=True)
+    one = graph.constant(1.0)
+    return known, graph.node("Div", one, graph.node("Add", square, one))
+
+
+def regressor_nodes(
+    graph: GraphBuilder, model: VisibilityModel, value: str, order: IntArray
+) -> tuple[str, FloatArray, str | None]:
+    """From features to what the latents are linear in, clusters in ``order``.
+
+    Returns:
+        Values (P, C, 1, N), the matrices (C, N, L) from them to the latents, and the latents' fade
+        (P, C, 1, 1) where the model has one.
+    """
+    regressor = model.regressor
+    first = regressor.weight if regressor.hidden_weight is None else regressor.hidden_weight
+    first = first.astype(np.float64)
+    strength = None
+    if model.input_low is None or model.input_high is None:
+        value = reduced_nodes(graph, model, value, first, order)
+    else:
+        low, high = (a.astype(np.float64) for a in (model.input_low, model.input_high))
+        if len(low) > 1:
+            low, high = low[order], high[order]
+        value = reduced_nodes(graph, model, value, None, order)
+        value, strength = clamp_nodes(graph, value, low, high)
+        value = matmul(graph, value, first[order])
+        if len(low) < len(order):
+            strength = graph.node("Mul", strength, graph.constant(np.ones((len(order), 1, 1))))
+    if regressor.hidden_weight is not None and regressor.hidden_bias is not None:
+        shift = regressor.hidden_bias[order][:, None]
+        value = graph.node("Tanh", graph.node("Add", value, graph.constant(shift)))
+        return value, regressor.weight, strength
+    size = regressor.weight.shape[2]  # the latents are there already
+    return value, np.broadcast_to(np.eye(size), (len(order), size, size)), strength
 
 
 def reconstruction_nodes(
@@ -250,14 +318,19 @@ def reconstruction_nodes(
     model: VisibilityModel,
     value: str,
     weight: FloatArray,
-    bias: FloatArray,
     order: IntArray,
+    strength: str | None,
 ) -> None:
     """From the last layer's inputs (P, C, 1, N), clusters in ``order``, to ``visibility``.
 
     Clusters of equally many latents form one batched product. A last latent that is always one
-    carries the mean.
+    carries the mean. Where latents fade, the last layer's inputs and its bias do.
     """
+    bias = model.regressor.bias
+    if strength is not None:  # (hW + b)s = (hs, s)·(W; b)
+        value = graph.node("Concat", graph.node("Mul", value, strength), strength, axis=3)
+        weight = np.concatenate([weight, bias[:, None]], axis=1)
+        bias = np.zeros_like(bias)
     counts = model.latents[order]
     starts = np.concatenate([[0], np.cumsum(model.latents)])
     parts = []
@@ -294,17 +367,9 @@ def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
     """The model as a checked graph: ``pose`` (poses, D) in, ``visibility`` (poses, V, n²) out."""
     graph = GraphBuilder()
     order = np.argsort(model.latents, kind="stable")
-    regressor = model.regressor
     value = feature_nodes(graph, model.features, model.pose_size)
-    first = regressor.weight if regressor.hidden_weight is None else regressor.hidden_weight
-    value = first_layer_nodes(graph, model, value, first.astype(np.float64), order)
-    weight, bias = regressor.weight, regressor.bias
-    if regressor.hidden_weight is not None and regressor.hidden_bias is not None:
-        shift = regressor.hidden_bias[order][:, None]
-        value = graph.node("Tanh", graph.node("Add", value, graph.constant(shift)))
-    else:  # the latents are there already
-        weight = np.broadcast_to(np.eye(weight.shape[2]), (len(order), *2 * weight.shape[2:]))
-    reconstruction_nodes(graph, model, value, weight, bias, order)
+    value, weight, strength = regressor_nodes(graph, model, value, order)
+    reconstruction_nodes(graph, model, value, weight, order, strength)
     shape = [model.receiver_count, model.order**2]
     return graph.model(model.pose_size, shape, {"prtnet": "visibility", "kind": model.kind})
 

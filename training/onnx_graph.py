@@ -20,8 +20,8 @@ __all__ = ["OPSET", "PORTABLE", "GraphBuilder"]
 OPSET = 15
 PORTABLE = frozenset(
     (
-        *("Add", "Clip", "Concat", "Div", "Gather", "MatMul", "Mul", "ReduceSum", "Reshape"),
-        *("Slice", "Sqrt", "Sub", "Tanh", "Transpose"),
+        *("Add", "Clip", "Concat", "Div", "Gather", "MatMul", "Mul", "ReduceSum", "Relu"),
+        *("Reshape", "Slice", "Sqrt", "Sub", "Tanh", "Transpose"),
     )
 )
 

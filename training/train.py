@@ -99,6 +99,7 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     values = features(poses)
     mean, basis = input_reduction(values, config.input_variance, config.inputs)
     inputs = (np.swapaxes(values, 0, 1) - mean[:, None]) @ basis
+    low, high = inputs.min(axis=1), inputs.max(axis=1)
     inputs = np.broadcast_to(inputs, (len(slots), *inputs.shape[1:]))
     data = to_device(inputs, output.targets, config.device)
 
@@ -123,6 +124,8 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
         basis=np.concatenate(output.basis),
         rest_tangents=dataset.rest_tangents,
         metadata=describe(dataset, config, features, alpha, trials, fits),
+        input_low=low.astype(np.float32),
+        input_high=high.astype(np.float32),
     )
     report_errors(model, dataset, watch)
     model.metadata["seconds"] = {

@@ -13,17 +13,24 @@ from tests.models import random_model, random_poses
 
 def slow(model, pose):
     """One receiver at a time, straight from the definition."""
-    inputs = model.reduced(pose[None])[0]
+    inputs = model.reduced(pose[None])[0].astype(np.float64)
     result = np.zeros((model.receiver_count, model.order**2))
     starts = np.concatenate([[0], np.cumsum(model.latents)])
     regressor = model.regressor
     for cluster, slots in enumerate(model.receivers):
-        value = inputs[cluster]
+        value, strength = inputs[cluster], 1.0
+        if model.input_low is not None:
+            box = min(cluster, len(model.input_low) - 1)
+            low, high = model.input_low[box], model.input_high[box]
+            known = np.array([min(max(v, a), b) for v, a, b in zip(value, low, high, strict=True)])
+            diagonal = sum((float(b) - a) ** 2 for a, b in zip(low, high, strict=True)) ** 0.5
+            strength = 1 / (1 + sum((value - known) ** 2) / (diagonal / 2) ** 2)
+            value = known
         if regressor.hidden_weight is not None:
             value = np.tanh(
                 value @ regressor.hidden_weight[cluster] + regressor.hidden_bias[cluster]
             )
-        latent = value @ regressor.weight[cluster] + regressor.bias[cluster]
+        latent = strength * (value @ regressor.weight[cluster] + regressor.bias[cluster])
         for slot, receiver in enumerate(slots):
             if receiver < 0:
                 continue
@@ -36,8 +43,9 @@ def slow(model, pose):
 
 @pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
 @pytest.mark.parametrize("features", ["joint_angles", "dihedral_angles", "occluders"])
-def test_equals_the_definition(kind, features):
-    model = random_model(kind, features)
+@pytest.mark.parametrize("clamped", [True, False])
+def test_equals_the_definition(kind, features, clamped):
+    model = random_model(kind, features, clamped=clamped)
     poses = random_poses(3, 5)
     expected = np.stack([slow(model, pose) for pose in poses])
     assert np.allclose(model(poses), expected, rtol=1e-4, atol=1e-4)
@@ -56,13 +64,15 @@ def test_encode_inverts_decode_for_orthonormal_components():
 
 
 @pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
-def test_file_round_trip(kind, tmp_path):
-    model = random_model(kind)
+@pytest.mark.parametrize("clamped", [True, False])
+def test_file_round_trip(kind, clamped, tmp_path):
+    model = random_model(kind, clamped=clamped)
     model.save(tmp_path / "m.safetensors")
     again = VisibilityModel.load(tmp_path / "m.safetensors")
     poses = random_poses(2, 5)
     assert again.kind == kind
     assert np.array_equal(again(poses), model(poses))
+    assert (again.input_low is not None) == clamped
 
 
 def test_wrong_poses_are_told(tmp_path):
@@ -97,6 +107,8 @@ def rewrite(path, change_header=None, change_arrays=None):
         (None, lambda a: a["mean"].fill(np.nan), "not finite"),
         (None, lambda a: a["receivers"].fill(0), "exactly one slot"),
         (None, lambda a: a["regressor.weight"].fill(np.inf), "weight holds values"),
+        (None, lambda a: a.pop("input_low"), "input_low and input_high"),
+        (None, lambda a: a["input_high"].fill(np.nan), "input_high holds values"),
         (None, lambda a: a["features.point"].fill(np.nan), "point holds values"),
         (
             None,
