@@ -241,8 +241,8 @@ def model_section(report: Report) -> str:
         paragraph(
             "The floor is the error that would be left if the regressor were perfect: what the "
             "kept components cannot express; variance kept says the same as a share of the "
-            "deviation from the mean. Inputs and latents are numbers a cluster. Fit is the final fit alone; "
-            "training in all includes clusters, components and the choice of weight decay. "
+            "deviation from the mean. Inputs and latents are numbers a cluster. Fit is the final "
+            "fit alone; training in all includes clusters, components and the choice of weight decay. "
             "Coherence is how much the error moves from pose to pose, beside the truth: a model "
             "that never changes has 1, less is steadier, more flickers. The most accurate stands "
             "out."
