@@ -61,11 +61,15 @@ def make_report(
     chosen = candidates(dataset.scene_kind, facts["receivers"], options.quick, options.device)
     models: list[dict[str, Any]] = []
     best: VisibilityModel | None = None
+    alphas: dict[str, float] = {}  # chosen with the first model of each family
     for index, candidate in enumerate(chosen):
         progress("models", index, len(chosen), candidate.name)
         nearest = NearestPose(dataset) if index == 0 else None
+        if candidate.family in alphas:
+            candidate = candidate.with_alpha(alphas[candidate.family])
         figures, model = measured(candidate, dataset, facts["clips"], nearest, threads)
         models.append(figures)
+        alphas[candidate.family] = figures["alpha"]
         if figures["evaluation"]["rms"] <= min(m["evaluation"]["rms"] for m in models):
             best = model
     progress("models", len(chosen), len(chosen))
@@ -131,18 +135,15 @@ def draw(
 
     rows = np.concatenate([dataset.poses_of(clip) for clip in results["dataset"]["clips"]])
     shown = {"The worst pose": results["worst"][0], "The median pose": results["median"]}
-    predicted = {title: model(dataset.read("pose", rows[[k]]))[0] for title, k in shown.items()}
-    truths = {title: dataset.read("visibility", int(rows[k])) for title, k in shown.items()}
-    top = error_scale(
-        np.concatenate([vertex_error(predicted[title], truths[title]) for title in shown])
-    )
-    results["pictures"] = [
-        {"title": title, "pose": int(k), "top": top} for title, k in shown.items()
-    ]
+    results["pictures"] = []
     images = []
     with opened(renderer_name or usable(say)) as renderer:
         for title, k in shown.items():
-            pictures = draw_error(renderer, dataset, int(rows[k]), predicted[title], light, top)
+            row = int(rows[k])
+            predicted = model(dataset.read("pose", rows[[k]]))[0]
+            top = error_scale(vertex_error(predicted, dataset.read("visibility", row)))
+            results["pictures"].append({"title": title, "pose": k, "top": top})
+            pictures = draw_error(renderer, dataset, row, predicted, light, top)
             three = (pictures.prediction, pictures.truth, pictures.error)
             images.append((data_uri(three[0]), data_uri(three[1]), data_uri(three[2])))
     return images

@@ -143,9 +143,8 @@ def summary(report: Report) -> str:
             paragraph(note, "note"),
             paragraph(
                 "Errors are relative RMS of visibility, √(Σ‖ṽ − v‖² / Σ‖v‖²) over poses and "
-                f"vertices, against {count(facts['rays'])} rays a vertex: 4 % is hard to see, 10 % "
-                "is not. Times are of one pose in onnxruntime on this machine's processor; MB are "
-                "10⁶ bytes."
+                f"vertices, against {count(facts['rays'])} rays a vertex. Times are of one pose in "
+                "onnxruntime on this machine's processor; MB are 10⁶ bytes."
             ),
             table(
                 ["scene", "vertices", "receivers", "triangles", "training poses", "judged poses",
@@ -231,7 +230,7 @@ def model_section(report: Report) -> str:
         for m in models
     ]  # fmt: skip
     columns = [
-        "model", f"{judged(report)} error", "worst 1 % of vertices", "training error",
+        "model", f"{judged(report)} error", "99 % of vertices below", "training error",
         "floor", "variance kept", "inputs", "latents", "size", "one pose", "fit",
         "training in all", "coherence",
     ]  # fmt: skip
@@ -242,7 +241,8 @@ def model_section(report: Report) -> str:
             "The floor is the error that would be left if the regressor were perfect: what the "
             "kept components cannot express; variance kept says the same as a share of the "
             "deviation from the mean. Inputs and latents are numbers a cluster. Fit is the final "
-            "fit alone; training in all includes clusters, components and the choice of weight decay. "
+            "fit alone; training in all has clusters and components besides, and for the first of "
+            "a family the choice of weight decay by cross-validation, which the others take over. "
             "Coherence is how much the error moves from pose to pose, beside the truth: a model "
             "that never changes has 1, less is steadier, more flickers. The most accurate stands "
             "out."
@@ -262,23 +262,24 @@ def picture_section(report: Report, images: Sequence[tuple[str, str, str]]) -> s
         titles = (
             "prediction",
             "ray-traced truth",
-            f"error of each vertex; brightest at {told['top']:g} % of an open vertex and above",
+            "error of each vertex, per cent of an open vertex",
         )
+        top = float(told["top"])
         figures = "".join(
             f'<figure><img src="{uri}" alt="{escape(title)}">'
             f"<figcaption>{escape(title)}</figcaption></figure>"
             for uri, title in zip(uris, titles, strict=True)
         )
         parts.append(f'<div class="three">{figures}</div>')
+        parts.append(colour_bar(top))
         parts.append(paragraph(f"This pose errs by {per_cent(pose['rms'])}."))
     return section(
         "On the character",
         paragraph(
             f"Drawn with the predictions of {report['best']}. An open vertex sees the whole sky; "
-            "an error of 100 % would be all of it."
+            "an error of 100 % would be all of it. Mind the scales: each pose has its own."
         ),
         *parts,
-        colour_bar(float(report["pictures"][0]["top"])),
     )
 
 
@@ -290,7 +291,7 @@ def colour_bar(top: float) -> str:
     return (
         f'<div class="bar"><span>0 %</span><span class="ramp" '
         f'style="background: linear-gradient(to right, {stops})"></span>'
-        f"<span>{top:g} %</span></div>"
+        f"<span>{top:g} % and above</span></div>"
     )
 
 
@@ -376,7 +377,7 @@ def clip_section(report: Report) -> str:
             "steadier, more flickers. Distances are means over the clip's poses."
         ),
         table(
-            ["clip", "error", "worst 1 % of vertices", "worst vertex", "coherence",
+            ["clip", "error", "99 % of vertices below", "worst vertex", "coherence",
              "outside the range", "to the nearest pose"],
             rows,
         ),

@@ -31,24 +31,23 @@ p { max-width: 44rem; margin: .5rem 0 .8rem; }
   background: var(--card); }
 table { border-collapse: collapse; width: 100%; font-size: .875rem;
   font-variant-numeric: tabular-nums; }
-th, td { padding: .4rem .7rem; text-align: right; white-space: nowrap; }
-thead th { color: var(--quiet); font-weight: 500; border-bottom: 1px solid var(--rule);
+th, td { padding: .4rem .6rem; text-align: right; white-space: nowrap; }
+thead th { color: var(--quiet); font-weight: 500; white-space: normal; border-bottom: 1px solid var(--rule);
   vertical-align: bottom; }
 th:first-child { text-align: left; position: sticky; left: 0; background: var(--card); }
 tbody th { font-weight: 500; }
 tbody tr + tr > * { border-top: 1px solid var(--rule); }
 tr.best > *, tr.best > th:first-child { background: var(--mark); }
-@media (max-width: 40rem) { tbody th { white-space: normal; min-width: 6.5rem; }
-  thead th { white-space: normal; } }
+@media (max-width: 40rem) { tbody th { white-space: normal; min-width: 6.5rem; } }
 .pair, .three { display: grid; gap: 1rem; grid-template-columns: minmax(0, 1fr); }
 @media (min-width: 52rem) { .pair { grid-template-columns: repeat(2, minmax(0, 1fr)); } }
-.three { gap: .5rem; grid-template-columns: repeat(auto-fit, minmax(min(100%, 15rem), 1fr)); }
+.three { gap: .5rem; grid-template-columns: repeat(auto-fit, minmax(min(100%, 10rem), 1fr)); }
 figure { margin: 0; }
 figcaption { font-size: .875rem; color: var(--quiet); margin: .2rem 0 .4rem; }
 img { width: 100%; height: auto; display: block; border-radius: 6px; }
 .pair svg { width: 100%; height: auto; display: block; background: var(--card);
   border: 1px solid var(--rule); border-radius: 6px; }
-svg text { font: 14px system-ui, sans-serif; fill: var(--quiet); stroke: none; }
+svg text { font: 15px system-ui, sans-serif; fill: var(--quiet); stroke: none; }
 svg .grid { stroke: var(--rule); stroke-width: 1; opacity: .6; }
 svg .axis { stroke: var(--quiet); stroke-width: 1; }
 svg .reference { stroke: var(--quiet); stroke-width: 1.2; stroke-dasharray: 5 4; }
@@ -62,7 +61,7 @@ svg g { stroke: none !important; } svg polyline.line { fill: none; }
   margin: .6rem 0; font-size: .875rem; }
 .legend li { display: flex; align-items: center; gap: .35rem; overflow-wrap: anywhere; }
 .key { width: 1rem; height: 1rem; flex: none; }
-.bar { display: flex; align-items: center; gap: .6rem; font-size: .875rem; color: var(--quiet);
+.bar { display: flex; margin: .4rem 0; align-items: center; gap: .6rem; font-size: .875rem; color: var(--quiet);
   max-width: 24rem; }
 .ramp { flex: 1; height: .8rem; border-radius: 3px; }
 """

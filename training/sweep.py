@@ -44,6 +44,10 @@ class Candidate:
     family: str
     config: TrainConfig
 
+    def with_alpha(self, alpha: float) -> Candidate:
+        """The same with a weight decay that is known already."""
+        return dataclasses.replace(self, config=dataclasses.replace(self.config, alpha=alpha))
+
 
 FAMILIES = (
     Family("linear, joint angles", {"kind": "linear", "features": "joint_angles"}),
