@@ -20,6 +20,13 @@ WIDTH, HEIGHT = 480, 360
 LEFT, RIGHT, TOP, BOTTOM = 62, 14, 14, 54  # margins around the plot
 SERIES = 6  # colours and markers, then they come round again
 MOST_TICKS = 7
+LOG_STEPS = (
+    (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8),
+    (1, 1.5, 2, 3, 5, 7),
+    (1, 2, 5),
+    (1, 3),
+    (1,),
+)
 
 
 @dataclass(frozen=True)
@@ -79,7 +86,7 @@ class Axis:
             power = 10.0 ** math.floor(math.log10(span / MOST_TICKS))
             step = next(k * power for k in (1, 2, 5, 10) if span / (k * power) <= MOST_TICKS)
             return [k * step for k in range(math.floor(self.high / step + 1e-9) + 1)]
-        for steps in ((1, 2, 3, 5), (1, 2, 5), (1, 3), (1,)):
+        for steps in LOG_STEPS:
             powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
             found = [k * 10.0**p for p in powers for k in steps
                      if self.low <= k * 10.0**p <= self.high]  # fmt: skip

@@ -32,8 +32,8 @@ p { max-width: 44rem; margin: .5rem 0 .8rem; }
 table { border-collapse: collapse; width: 100%; font-size: .875rem;
   font-variant-numeric: tabular-nums; }
 th, td { padding: .4rem .6rem; text-align: right; white-space: nowrap; }
-thead th { color: var(--quiet); font-weight: 500; white-space: normal; border-bottom: 1px solid var(--rule);
-  vertical-align: bottom; }
+thead th { color: var(--quiet); font-weight: 500; white-space: normal;
+  border-bottom: 1px solid var(--rule); vertical-align: bottom; }
 th:first-child { text-align: left; position: sticky; left: 0; background: var(--card); }
 tbody th { font-weight: 500; }
 tbody tr + tr > * { border-top: 1px solid var(--rule); }
@@ -61,7 +61,7 @@ svg g { stroke: none !important; } svg polyline.line { fill: none; }
   margin: .6rem 0; font-size: .875rem; }
 .legend li { display: flex; align-items: center; gap: .35rem; overflow-wrap: anywhere; }
 .key { width: 1rem; height: 1rem; flex: none; }
-.bar { display: flex; margin: .4rem 0; align-items: center; gap: .6rem; font-size: .875rem; color: var(--quiet);
-  max-width: 24rem; }
+.bar { display: flex; margin: .4rem 0; align-items: center; gap: .6rem;
+  font-size: .875rem; color: var(--quiet); max-width: 24rem; }
 .ramp { flex: 1; height: .8rem; border-radius: 3px; }
 """
