@@ -17,7 +17,7 @@ import numpy as np
 __all__ = ["Axis", "Reference", "Series", "legend", "marker", "scatter"]
 
 WIDTH, HEIGHT = 480, 360
-LEFT, RIGHT, TOP, BOTTOM = 62, 14, 14, 54  # margins around the plot
+LEFT, RIGHT, TOP, BOTTOM = 62, 20, 14, 54  # margins around the plot
 SERIES = 6  # colours and markers, then they come round again
 MOST_TICKS = 7
 LOG_STEPS = (

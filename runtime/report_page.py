@@ -67,8 +67,13 @@ def milliseconds(value: float) -> str:
     return f"{value:.2f} ms" if value >= 0.1 else f"{value:.3f} ms"
 
 
+def duration(value: float) -> str:
+    """A time of a fit."""
+    return f"{value:.0f} s" if value >= 100 else f"{value:.2g} s"
+
+
 def seconds(value: float | None) -> str:
-    """A time of a fit or in a clip."""
+    """A time in a clip."""
     return "–" if value is None else f"{value:.2f} s"
 
 
@@ -226,7 +231,7 @@ def model_section(report: Report) -> str:
         [m["name"], per_cent(m["rms"]), per_cent(m["p99"]), per_cent(m["training_rms"]),
          per_cent(m["pca_floor"]), per_cent(m["variance_kept"]), f"{m['inputs']}",
          f"{m['latents']:.1f}", megabytes(m["model_bytes"]), milliseconds(m["ms_per_pose"]),
-         seconds(m["fit_seconds"]), seconds(m["train_seconds"]), number(m["coherence"])]
+         duration(m["fit_seconds"]), duration(m["train_seconds"]), number(m["coherence"])]
         for m in models
     ]  # fmt: skip
     columns = [

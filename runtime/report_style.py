@@ -29,9 +29,9 @@ p { max-width: 44rem; margin: .5rem 0 .8rem; }
 .note { border-left: 3px solid var(--c0); padding-left: .8rem; overflow-wrap: anywhere; }
 .wide { overflow-x: auto; margin: .6rem 0; border: 1px solid var(--rule); border-radius: 6px;
   background: var(--card); }
-table { border-collapse: collapse; width: 100%; font-size: .875rem;
+table { border-collapse: separate; border-spacing: 0; width: 100%; font-size: .875rem;
   font-variant-numeric: tabular-nums; }
-th, td { padding: .4rem .6rem; text-align: right; white-space: nowrap; }
+th, td { padding: .4rem .5rem; text-align: right; white-space: nowrap; }
 thead th { color: var(--quiet); font-weight: 500; white-space: normal;
   border-bottom: 1px solid var(--rule); vertical-align: bottom; }
 th:first-child { text-align: left; position: sticky; left: 0; background: var(--card); }
@@ -42,6 +42,7 @@ tr.best > *, tr.best > th:first-child { background: var(--mark); }
 .pair, .three { display: grid; gap: 1rem; grid-template-columns: minmax(0, 1fr); }
 @media (min-width: 52rem) { .pair { grid-template-columns: repeat(2, minmax(0, 1fr)); } }
 .three { gap: .5rem; grid-template-columns: repeat(auto-fit, minmax(min(100%, 10rem), 1fr)); }
+@media (max-width: 33rem) { .three figure:last-child { grid-column: 1 / -1; } }
 figure { margin: 0; }
 figcaption { font-size: .875rem; color: var(--quiet); margin: .2rem 0 .4rem; }
 img { width: 100%; height: auto; display: block; border-radius: 6px; }

@@ -18,6 +18,10 @@ from PIL import Image
 from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm
 from prtnet import cli
+from prtnet.dataset import Dataset
+from prtnet.light import load_light
+from runtime.draw import opened
+from runtime.error_pictures import data_uri, draw_error
 from runtime.report_page import page, per_cent
 from training.config import PRESETS
 
@@ -161,6 +165,12 @@ def test_pictures_are_on_the_page(work: Path) -> None:
         with Image.open(io.BytesIO(base64.b64decode(image))) as picture:
             assert picture.size == (480, 480)
             assert np.ptp(np.asarray(picture)) > 20
+    dataset = Dataset.open(work / "held.zarr")
+    row = int(dataset.poses_of("later & <b>")[told["worst"][0]])
+    truth = dataset.read("visibility", row)
+    with opened("cpu") as renderer:
+        right = draw_error(renderer, dataset, row, truth, load_light("studio"), 1.0).truth
+    assert f"data:image/png;base64,{images[1]}" == data_uri(right)
 
 
 def test_figures_are_those_of_evaluate(work: Path) -> None:
