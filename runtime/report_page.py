@@ -16,6 +16,8 @@ __all__ = ["page"]
 
 Report = Mapping[str, Any]
 
+NO_DISTANCE = 1e-3  # what training poses themselves have, by rounding
+
 
 def page(report: Report, images: Sequence[tuple[str, str, str]] = ()) -> str:
     """The whole page.
@@ -227,17 +229,19 @@ def family_series(
 def model_section(report: Report) -> str:
     """Every model in figures."""
     models = report["models"]
+    unseen = report["dataset"]["held_out"]  # otherwise the errors are of training anyway
     rows = [
-        [m["name"], per_cent(m["rms"]), per_cent(m["p99"]), per_cent(m["training_rms"]),
+        [m["name"], per_cent(m["rms"]), per_cent(m["p99"]),
+         *([per_cent(m["training_rms"])] if unseen else []),
          per_cent(m["pca_floor"]), per_cent(m["variance_kept"]), f"{m['inputs']}",
          f"{m['latents']:.1f}", megabytes(m["model_bytes"]), milliseconds(m["ms_per_pose"]),
          duration(m["fit_seconds"]), duration(m["train_seconds"]), number(m["coherence"])]
         for m in models
     ]  # fmt: skip
     columns = [
-        "model", f"{judged(report)} error", "99 % of vertices below", "training error",
-        "floor", "variance kept", "inputs", "latents", "size", "one pose", "fit",
-        "training in all", "coherence",
+        "model", f"{judged(report)} error", "99 % of vertices below",
+        *(["training error"] if unseen else []), "floor", "variance kept", "inputs", "latents",
+        "size", "one pose", "fit", "training in all", "coherence",
     ]  # fmt: skip
     marked = [m["name"] for m in models].index(report["best"])
     return section(
@@ -331,7 +335,7 @@ def distance_section(report: Report) -> str:
         ("nearest_distance", "to the nearest training pose, spacings"),
     ):
         known = [pose for pose in report["poses"] if pose[name] is not None]
-        if not known:
+        if max((pose[name] for pose in known), default=0.0) < NO_DISTANCE:
             continue
         clips = list(dict.fromkeys(pose["clip"] for pose in report["poses"]))
         series = [

@@ -71,10 +71,12 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Reports of an arm: with its clip as training and, in ``held``, with one held out."""
+    """Reports of an arm that bends two ways: both seen and, in ``held``, one held out."""
     folder = tmp_path_factory.mktemp("report")
     limb = arm(segments=10)
-    later = dataclasses.replace(limb.clips[0], name="later & <b>")
+    (bend,) = limb.clips[0].channels
+    across = dataclasses.replace(bend, values=bend.values[:, [0, 2, 1, 3]])
+    later = dataclasses.replace(limb.clips[0], name="later & <b>", channels=(across,))
     write_glb(dataclasses.replace(limb, clips=(*limb.clips, later)), folder / "arm.glb")
     effort = ["--count", "6", "--rays", "32", "--threads", "1", "--quiet"]
     for name, extra in (("seen", []), ("held", ["--holdout", "later & <b>"])):
@@ -107,11 +109,11 @@ def test_page_is_well_formed_and_alone(work: Path, name: str) -> None:
     assert "prefers-color-scheme: dark" in text
 
 
-@pytest.mark.parametrize("name", ["seen", "held"])
-def test_charts_hold_finite_numbers(work: Path, name: str) -> None:
+@pytest.mark.parametrize(("name", "count"), [("seen", 2), ("held", 4)])
+def test_charts_hold_finite_numbers(work: Path, name: str, count: int) -> None:
     text, _ = read(work, name)
     charts = re.findall(r"<svg.*?</svg>", text, re.DOTALL)
-    assert len([chart for chart in charts if "aria-label" in chart]) == 4
+    assert len([chart for chart in charts if "aria-label" in chart]) == count
     for chart in charts:
         for value in re.findall(
             r' (?:points|cx|cy|r|x|y|x1|y1|x2|y2|width|height)="([^"]*)"', chart
@@ -142,6 +144,12 @@ def test_held_out_clips_are_told_apart_from_training(work: Path) -> None:
     (seen, seen_told), (held, held_told) = read(work, "seen"), read(work, "held")
     assert seen_told["dataset"]["held_out"] is False
     assert "holds out no clip" in seen
+    for text, title in ((seen, "training error"), (held, "held-out error")):
+        (columns,) = [row for row in Page(text).rows if row[0] == "model"]
+        assert columns[1] == title
+        assert columns.count("training error") == 1
+    assert "Error against distance" not in seen  # training poses are at none
+    assert "Error against distance" in held
     assert held_told["dataset"]["clips"] == ["later & <b>"]
     assert "holds out no clip" not in held
     assert "later &amp; &lt;b&gt;" in held
