@@ -63,11 +63,12 @@ def test_recorded_surface_is_what_the_dataset_holds(two_sided: bool) -> None:
         assert surface.back_transfer @ above == pytest.approx(-(surface.transfer @ above))
 
 
-def test_pictures_show_where_the_error_is() -> None:
+@pytest.mark.parametrize("name", ["cpu", pytest.param("gl", marks=pytest.mark.gl)])
+def test_pictures_show_where_the_error_is(name: str) -> None:
     dataset = flat_dataset()
     predicted = dataset.read("visibility", 0).copy()
     predicted[:2] *= 0.5  # the lower corners are half closed
-    with opened("cpu") as renderer:
+    with opened(name) as renderer:
         light = load_light("overcast", 2)
         pictures = draw_error(renderer, dataset, 0, predicted, light, 50.0, (60, 60))
     heat, truth, guess = (
