@@ -33,8 +33,11 @@ def scene_truth(
     tracer = PoseTracer(actor.scene, actor.receivers, actor.frame_field, actor.model.order, rays)
     with ThreadPoolExecutor(threads) as pool:
         for clip in clips:
-            poses = actor.poses(clip, fps=fps)
+            times = actor.scene.clip(clip).times(fps=fps)
+            poses = actor.poses(clip, times)
             for start in range(0, len(poses), BLOCK):
-                block = poses[start : start + BLOCK]
+                own = slice(start, start + BLOCK)
+                block = poses[own]
                 visibility = np.stack([pose.visibility for pose in tracer.map(block, pool)])
-                yield TruthBlock(clip, clip not in actor.model.training_clips, block, visibility)
+                held_out = clip not in actor.model.training_clips
+                yield TruthBlock(clip, held_out, block, visibility, times[own])

@@ -1,7 +1,7 @@
 """The command line: one function a command, thin over the packages it drives.
 
-This is the one module of ``prtnet`` that may import ``data_gen``, ``training`` and ``runtime``, and
-it does so inside the commands, so that ``prtnet --help`` answers at once.
+This module, and ``cli_report`` for the one command that is long, may import ``data_gen``,
+``training`` and ``runtime``, inside the commands: ``prtnet --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ def train(argv: Sequence[str]) -> None:
 
     import torch
 
-    from prtnet.console import StageMonitor
+    from prtnet.console import StageMonitor, in_per_cent
     from prtnet.dataset import Dataset
     from training.train import train as fit
 
@@ -236,6 +236,7 @@ def evaluate(argv: Sequence[str]) -> None:
     inputs = input_file(options.model), input_file(options.data, folder=True)
     check_output(options.dump, *inputs)
 
+    from prtnet.console import in_per_cent
     from prtnet.evaluation import evaluate as measure
     from prtnet.model import VisibilityModel
     from runtime.onnx_model import OnnxModel
@@ -332,20 +333,6 @@ def chosen(options: EvaluateOptions, known: Sequence[str]) -> Sequence[str]:
     return list(dict.fromkeys(options.clips)) or known
 
 
-def in_per_cent(results: Mapping[str, Any]) -> dict[str, Any]:
-    """Results with their errors as a person reads them."""
-    fractions = {"rms", "p99", "max", "signal", "nearest", "pca_floor"}
-    shown: dict[str, Any] = {}
-    for name, value in results.items():
-        if isinstance(value, Mapping):
-            shown[name] = in_per_cent(value)
-        elif name in fractions and value is not None:
-            shown[name] = f"{100 * value:.2f} %"
-        else:
-            shown[name] = value
-    return shown
-
-
 def export(argv: Sequence[str]) -> None:
     """Write a model for a game engine."""
     from prtnet.cli_arguments import check_output, input_file
@@ -411,6 +398,23 @@ def render(argv: Sequence[str]) -> None:
             picture, facts["error_in_per_cent_of_white"] = comparison(linear, true_linear)
     save_png(options.out, picture)
     session.finish(facts)
+
+
+def report(argv: Sequence[str]) -> None:
+    """One page about a dataset: what models of it cost, and what they get wrong."""
+    from prtnet.cli_arguments import check_output, input_file
+    from prtnet.cli_options import ReportOptions
+
+    options, session = arguments("report", argv, ReportOptions)
+    check_output(options.out, input_file(options.dataset, folder=True))
+
+    from prtnet.cli_report import in_figures, make_report
+    from prtnet.console import in_per_cent
+
+    with session.console.progress() as progress:
+        results = make_report(options, threads(options.threads), progress, session.console.message)
+    shown = {"out": options.out, "best": results["best"], "models": in_figures(results)}
+    session.finish(results, in_per_cent(shown))
 
 
 def demo(argv: Sequence[str]) -> None:
@@ -480,6 +484,11 @@ COMMANDS = {
         render,
         "Draw one picture of a posed scene, without a window.",
         "prtnet render robot.safetensors robot.glb --clip Walk --out frame.png --compare truth",
+    ),
+    "report": Command(
+        report,
+        "Fit models of many sizes to a dataset and show on one page what they cost and miss.",
+        "prtnet report robot.zarr --out report.html --quick",
     ),
     "demo": Command(demo, "Do all of it on a bundled character.", "prtnet demo --out demo"),
 }

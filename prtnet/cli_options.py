@@ -20,6 +20,7 @@ __all__ = [
     "GenerateFiles",
     "InfoOptions",
     "RenderOptions",
+    "ReportOptions",
     "TrainOptions",
 ]
 
@@ -121,6 +122,25 @@ class RenderOptions:
             raise PrtnetError(self.out, "is no name of a PNG picture; end it in .png")
         if max(self.size) > 8192:
             raise PrtnetError("--size", "is too large; give at most 8192x8192")
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Options of ``prtnet report``."""
+
+    dataset: Positional[Path]  # from prtnet generate
+    out: Path  # page to write, .html
+    quick: bool = False  # the smallest model of every family only
+    light: str = "studio"  # of the pictures: a Radiance .hdr file or the name of a preset
+    renderer: Literal["gl", "cpu"] | None = None  # OpenGL or NumPy; OpenGL where there is one
+    device: str = "cpu"  # where torch fits: cpu, or cuda
+    threads: int | None = None  # CPU threads; all cores when not given
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        at_least("--threads", self.threads, 1)
+        if self.out.suffix.lower() not in (".html", ".htm"):
+            raise PrtnetError(self.out, "is no name of a page; end it in .html")
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ import rich.table
 
 from prtnet.files import writing
 
-__all__ = ["Console", "Report", "StageMonitor", "silent", "write_json"]
+__all__ = ["Console", "Report", "StageMonitor", "in_per_cent", "silent", "write_json"]
 
 PATIENCE = 1.0  # seconds before anything is shown: quick work needs no bar
 SPARSE = 10.0  # seconds between lines where there is no terminal to redraw
@@ -153,6 +153,24 @@ def shown(value: object) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(shown, value)) if value else "none"
     return str(value)
+
+
+def in_per_cent(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Results with their errors as a person reads them, without the list of poses."""
+    fractions = {"rms", "p99", "max", "signal", "nearest", "pca_floor"}
+    shown: dict[str, Any] = {}
+    for name, value in results.items():
+        if name.endswith("distance"):
+            shown[name] = "–" if value is None else f"{value['mean']:.3f}"
+        elif name == "coherence":
+            shown[name] = "–" if value is None else f"{value:.2f}"
+        elif isinstance(value, Mapping):
+            shown[name] = in_per_cent(value)
+        elif name in fractions and value is not None:
+            shown[name] = f"{100 * value:.2f} %"
+        elif name != "poses":
+            shown[name] = value
+    return shown
 
 
 class _Bar:

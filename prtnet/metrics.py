@@ -12,7 +12,7 @@ import numpy as np
 
 from prtnet.arrays import FloatArray
 
-__all__ = ["ErrorSum", "relative_rms"]
+__all__ = ["CoherenceSum", "ErrorSum", "relative_rms"]
 
 
 @dataclass
@@ -57,6 +57,44 @@ class ErrorSum:
             "p99": float(np.percentile(each, 99)),
             "max": float(each.max()),
         }
+
+
+@dataclass
+class CoherenceSum:
+    """How much the error moves from one pose of a clip to the next, beside the truth's motion.
+
+    √(Σ‖Δ(ṽ − v)‖² / Σ‖Δv‖²) over consecutive poses. What never changes has exactly 1; an error
+    that moves smoothly along with the pose has less, and what flickers has more.
+    """
+
+    error: float = 0.0
+    motion: float = 0.0
+    last: tuple[FloatArray, FloatArray] | None = None  # error and truth, each [1, V, n²]
+
+    def add(self, predicted: FloatArray, truth: FloatArray) -> None:
+        """Add poses that follow those added before: both (P, V, n²)."""
+        if len(truth) == 0:
+            return
+        error = predicted - truth
+        before, known = (error[:0], truth[:0]) if self.last is None else self.last
+        self.error += squared_steps(np.concatenate([before, error]))
+        self.motion += squared_steps(np.concatenate([known, truth]))
+        self.last = error[-1:], truth[-1:]
+
+    def merge(self, other: CoherenceSum) -> None:
+        """Add all that another clip's sum holds."""
+        self.error += other.error
+        self.motion += other.motion
+
+    def value(self) -> float | None:
+        """The ratio; None where nothing moves, or there are fewer than two poses."""
+        return (self.error / self.motion) ** 0.5 if self.motion > 0 else None
+
+
+def squared_steps(values: FloatArray) -> float:
+    """Σ‖Δ‖² over consecutive poses of (P, V, n²)."""
+    step = np.diff(values, axis=0)
+    return float(np.einsum("pvi,pvi->", step, step, dtype=np.float64))
 
 
 def relative_rms(predicted: FloatArray, truth: FloatArray) -> float:

@@ -24,6 +24,7 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
 from prtnet.features import Features, features_from_arrays
 from prtnet.files import writing
+from prtnet.novelty import fade, novelty
 from prtnet.storage import (
     STORAGES,
     Packing,
@@ -86,6 +87,8 @@ class VisibilityModel:
         rest_tangents: receivers' tangents at rest, (V, 3): they fix the local frames.
         metadata: format version, configuration, training and held-out errors, fingerprints; under
             ``storage`` how the arrays are stored. They hold the very values that are read back.
+        input_low, input_high: range of the training poses' reduced inputs, (1 or C, K); None for a
+            model that neither clamps its inputs nor fades far from training.
     """
 
     kind: str
@@ -100,6 +103,8 @@ class VisibilityModel:
     basis: FloatArray
     rest_tangents: FloatArray
     metadata: dict[str, Any] = field(default_factory=dict)
+    input_low: FloatArray | None = None
+    input_high: FloatArray | None = None
 
     @property
     def receiver_count(self) -> int:
@@ -200,13 +205,28 @@ class VisibilityModel:
         """Reduced inputs (P, C, K) of flattened poses (P, D)."""
         features = np.swapaxes(self.features(poses), 0, 1)  # [1 or C, P, F]
         inputs = (features - self.input_mean[:, None]) @ self.input_basis
-        shape = (len(self.latents) // self.parts, len(poses), inputs.shape[-1])
+        shape = (len(self.latents) // self.parts, *inputs.shape[1:])
         return np.swapaxes(np.broadcast_to(inputs, shape), 0, 1)
 
     def latent(self, poses: FloatArray) -> FloatArray:
         """Latents (P, C, L) of flattened poses (P, D); those a cluster does not use are zero."""
         used = np.arange(self.regressor.weight.shape[-1]) < self.latents[:, None]
-        return np.where(used, self.regressor(self.reduced(poses)), 0.0)
+        inputs = self.reduced(poses)
+        if self.input_low is None or self.input_high is None:
+            return np.where(used, self.regressor(inputs), 0.0)
+        known = np.clip(inputs, self.input_low, self.input_high)
+        strength = fade(novelty(inputs, self.input_low, self.input_high)).astype(np.float32)
+        strength = np.repeat(strength, self.parts, axis=1)  # [P, groups]
+        return np.where(used, self.regressor(known) * strength[..., None], 0.0)
+
+    def novelty(self, poses: FloatArray) -> FloatArray | None:
+        """How far each cluster is from its training poses, (P, C), of flattened poses (P, D).
+
+        See :func:`prtnet.novelty.novelty`; None where the model does not know its training range.
+        """
+        if self.input_low is None or self.input_high is None:
+            return None
+        return novelty(self.reduced(poses), self.input_low, self.input_high)
 
     def decode(self, latent: FloatArray) -> FloatArray:
         """Visibility (P, V, n²) float32 of latents (P, C, L)."""
@@ -238,6 +258,11 @@ class VisibilityModel:
         self.check_pose(poses)
         return self.decode(self.latent(poses))
 
+    def training_range(self) -> dict[str, FloatArray]:
+        """The arrays ``input_low`` and ``input_high`` by name; none where they are not known."""
+        named = {name: getattr(self, name) for name in RANGE_ARRAYS}
+        return {name: array for name, array in named.items() if array is not None}
+
     def save(self, path: str | Path) -> None:
         """Write one ``.safetensors`` file: arrays, and a JSON header in its metadata."""
         header = {
@@ -248,7 +273,7 @@ class VisibilityModel:
             "features": self.features.kind,
             "storage": self.storage,
         }
-        arrays = {name: getattr(self, name) for name in ARRAYS}
+        arrays = {name: getattr(self, name) for name in ARRAYS} | self.training_range()
         arrays |= {f"regressor.{name}": a for name, a in self.regressor.arrays().items()}
         arrays |= {f"features.{name}": a for name, a in self.features.arrays().items()}
         arrays = {n: np.ascontiguousarray(a) for n, a in pack(arrays, self.packings).items()}
@@ -286,6 +311,8 @@ class VisibilityModel:
                 regressor=Regressor(**parts["regressor"]),
                 **{name: arrays[name] for name in ARRAYS},
                 metadata=header,
+                input_low=arrays.get("input_low"),
+                input_high=arrays.get("input_high"),
             )
             check_shapes(model)
         except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -296,6 +323,7 @@ class VisibilityModel:
 
 
 ARRAYS = ("input_mean", "input_basis", "latents", "receivers", "mean", "basis", "rest_tangents")
+RANGE_ARRAYS = ("input_low", "input_high")
 
 
 def read(path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
@@ -343,7 +371,10 @@ def check_shapes(model: VisibilityModel) -> None:
         model.regressor.weight.shape[2] < width
     ):
         raise ValueError("regressor.weight does not fit the clusters, inputs and latents")
-    every = {name: getattr(model, name) for name in ARRAYS}
+    span = model.training_range()
+    if span and [a.shape for a in span.values()] != 2 * [model.input_basis[:, 0].shape]:
+        raise ValueError("input_low and input_high do not fit the inputs, or one is missing")
+    every = {name: getattr(model, name) for name in ARRAYS} | span
     every |= model.regressor.arrays() | model.features.arrays()
     for name, array in every.items():
         if not np.isfinite(array).all():

@@ -61,8 +61,12 @@ def random_model(
     feature_order: int = 3,
     seed: int = 0,
     parts: int = 1,
+    clamped: bool = True,
 ) -> VisibilityModel:
-    """A model whose every array is random, with groups of unequally many latents."""
+    """A model whose every array is random, with groups of unequally many latents.
+
+    With ``clamped`` it has a training range that random poses are now inside and now outside of.
+    """
     rng = np.random.default_rng(seed)
     seen = random_features(features, joints, clusters, feature_order, seed)
     width = seen(random_poses(1, joints, morphs)).shape[-1]
@@ -99,4 +103,6 @@ def random_model(
         basis=normal(int(latents.sum()), capacity * order**2),
         rest_tangents=normal(receivers, 3),
         metadata={"pose_size": 12 * joints + morphs, "format_version": 1},
+        input_low=-np.abs(normal(shared, inputs)) if clamped else None,
+        input_high=np.abs(normal(shared, inputs)) if clamped else None,
     )

@@ -78,7 +78,13 @@ def test_evaluation_of_a_dataset(work: Path, capsys: pytest.CaptureFixture[str])
     results = json.loads(report.read_text())
     contract = {"clips", "rms", "signal", "nearest", "pca_floor", "ms_per_pose", "model_bytes"}
     assert contract <= set(results)
-    assert set(results["clips"]["bend"]) == {"rms", "p99", "max", "held_out"}
+    beside = {"coherence", "distance", "nearest_distance"}
+    assert set(results["clips"]["bend"]) == {"rms", "p99", "max", "held_out"} | beside
+    assert 0 < results["coherence"] < 1
+    assert results["distance"]["max"] < 1e-4  # every pose is a training pose
+    assert results["nearest_distance"]["max"] < 0.05
+    assert [pose["clip"] for pose in results["poses"]] == 24 * ["bend"]
+    assert results["poses"][-1]["time"] == 4.0
     assert results["pca_floor"] <= results["rms"] < results["signal"]
     assert results["nearest"] == 0  # every pose is a training pose
     assert results["model_bytes"] == (work / "arm.safetensors").stat().st_size
@@ -95,6 +101,10 @@ def test_evaluation_of_a_scene_agrees(work: Path) -> None:
     assert results["rms"] == pytest.approx(expected["rms"], rel=1e-4)
     assert results["signal"] == pytest.approx(expected["signal"], rel=1e-4)
     assert results["nearest"] is None
+    assert [pose["time"] for pose in results["poses"]] == pytest.approx(
+        [pose["time"] for pose in expected["poses"]], abs=1e-4
+    )
+    assert results["poses"][3]["nearest_distance"] is None
     assert results["clips"]["bend"]["held_out"] is False
 
 
@@ -286,7 +296,7 @@ def test_demonstration(
     assert errors["clips"]["dance"]["held_out"] is True
     out, err = capsys.readouterr()
     table = [line.split() for line in out.splitlines()]
-    assert ["clips", "rms", "p99", "max", "held", "out"] in table
+    assert ["clips", "rms", "p99", "max", "held", "out"] in [line[:6] for line in table]
     assert f"{100 * errors['clips']['dance']['rms']:.2f}" in out
     assert [line for line in out.splitlines() if line.split()[-1:] == [paths["onnx"]]]
     assert paths["picture"] in out

@@ -17,6 +17,7 @@ from prtnet.features import FULL_FOLD, SMALLEST, DihedralAngles, Features, Joint
 from prtnet.files import writing
 from prtnet.model import VisibilityModel
 from prtnet.storage import Stored
+from training.clamping import clamp_nodes, from_unit_nodes, unit_box
 from training.onnx_graph import GraphBuilder
 from training.reconstruction import LatentLayer, latent_layer, visibility_nodes
 
@@ -232,11 +233,11 @@ def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> st
 def linear_nodes(
     graph: GraphBuilder, model: VisibilityModel, value: str, weight: Stored, bias: FloatArray
 ) -> str:
-    """(P, C, 1, N): features through the input PCA, one more matrix (C, K, N), and a bias."""
+    """(P, 1 or C, 1, N): features through the input PCA, one more matrix (1 or C, K, N), a bias."""
     size = model.input_mean.shape[1]
     mean: FloatArray = model.input_mean.astype(np.float64)[:, None]
     basis = model.stored("input_basis")
-    if not isinstance(model.features, Occluders):  # the same for all clusters: reduced once
+    if len(mean) < len(weight.values):  # the same for all clusters: reduced once
         value = graph.reshape(value, [-1, 1, 1, size])
         centred = graph.node("Sub", value, graph.constant(mean[0]))
         reduced = graph.node("MatMul", centred, graph.stored(basis))
@@ -245,43 +246,61 @@ def linear_nodes(
     # Everything linear in a cluster's features is one matrix, everything constant its bias.
     product = first_matrix(graph, model.features, basis, weight)
     bias = bias - mean @ basis.array().astype(np.float64) @ weight.array().astype(np.float64)
-    order, points = model.features.order, model.features.point.shape[1]
-    rows = size + points * (RAW[order] - order**2)
-    value = graph.reshape(value, [-1, len(mean), 1, rows])
+    if isinstance(model.features, Occluders):
+        order, points = model.features.order, model.features.point.shape[1]
+        size += points * (RAW[order] - order**2)
+    value = graph.reshape(value, [-1, len(mean), 1, size])
     return graph.node("Add", graph.node("MatMul", value, product), graph.constant(bias))
 
 
-def first_matrix(graph: GraphBuilder, features: Occluders, basis: Stored, weight: Stored) -> str:
-    """(C, M · RAW + morphs, N): from :func:`occluder_nodes` through the PCA and one more matrix."""
-    clusters, points, _ = features.point.shape
-    to_features = harmonics(features)
-    shape = (clusters, points, features.order**2, basis.values.shape[-1])
-    caps = points * features.order**2
-    if basis.values.dtype == np.float32:  # multiplied here, in double precision
-        every = basis.values.astype(np.float64)
-        moved = (to_features @ every[:, :caps].reshape(shape)).reshape(clusters, -1, shape[-1])
-        return graph.constant(np.concatenate([moved, every[:, caps:]], axis=1) @ weight.values)
-    every = graph.stored(basis)
-    own = graph.reshape(graph.slice(every, 0, caps, 1), shape)
-    own = graph.node("MatMul", graph.constant(to_features), own)
-    own = graph.reshape(own, [clusters, -1, shape[-1]])
-    if basis.values.shape[1] > caps:
-        morphs = graph.slice(every, caps, basis.values.shape[1], 1)
-        own = graph.node("Concat", own, morphs, axis=1)
-    return graph.node("MatMul", own, graph.stored(weight))
+def first_matrix(graph: GraphBuilder, features: Features, basis: Stored, weight: Stored) -> str:
+    """(1 or C, F, N): from :func:`feature_nodes` through the PCA and one more matrix."""
+    exact = basis.values.dtype == np.float32  # multiplied here, in double precision
+    if isinstance(features, Occluders):
+        clusters, points, _ = features.point.shape
+        to_features = harmonics(features)
+        shape = (clusters, points, features.order**2, basis.values.shape[-1])
+        caps = points * features.order**2
+        if exact:
+            every = basis.values.astype(np.float64)
+            moved = (to_features @ every[:, :caps].reshape(shape)).reshape(clusters, -1, shape[-1])
+            return graph.constant(np.concatenate([moved, every[:, caps:]], axis=1) @ weight.values)
+        stored = graph.stored(basis)
+        own = graph.reshape(graph.slice(stored, 0, caps, 1), shape)
+        own = graph.node("MatMul", graph.constant(to_features), own)
+        own = graph.reshape(own, [clusters, -1, shape[-1]])
+        if basis.values.shape[1] > caps:
+            morphs = graph.slice(stored, caps, basis.values.shape[1], 1)
+            own = graph.node("Concat", own, morphs, axis=1)
+        return graph.node("MatMul", own, graph.stored(weight))
+    if exact:
+        return graph.constant(basis.values.astype(np.float64) @ weight.values)
+    return graph.node("MatMul", graph.stored(basis), graph.stored(weight))
 
 
 def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer) -> str:
-    """(P, C · M) every cluster's latents, of the pose."""
-    regressor = model.regressor
-    value = feature_nodes(graph, model.features, model.pose_size)
-    if regressor.hidden_weight is None or regressor.hidden_bias is None:
-        value = linear_nodes(graph, model, value, layer.weight, layer.bias)
+    """(P, C · M) every cluster's latents, of the pose; what is one does not fade."""
+    hidden_bias = model.regressor.hidden_bias
+    clamped = model.input_low is not None and model.input_high is not None
+    last_bias = layer.bias if clamped else layer.bias + layer.ones
+    if hidden_bias is None:
+        weight, bias = layer.weight, last_bias
     else:
-        hidden = model.stored("regressor.hidden_weight")
-        value = linear_nodes(graph, model, value, hidden, regressor.hidden_bias[:, None])
+        weight, bias = model.stored("regressor.hidden_weight"), hidden_bias[:, None]
+    value = feature_nodes(graph, model.features, model.pose_size)
+    damping = None
+    if model.input_low is None or model.input_high is None:
+        value = linear_nodes(graph, model, value, weight, bias)
+    else:
+        box = unit_box(model.input_low, model.input_high)
+        value = linear_nodes(graph, model, value, box.matrix, box.bias)
+        value, damping = clamp_nodes(graph, box, value)
+        value = graph.node("MatMul", value, from_unit_nodes(graph, box, weight, bias))
+    if hidden_bias is not None:
         value = graph.node("MatMul", graph.node("Tanh", value), graph.stored(layer.weight))
-        value = graph.node("Add", value, graph.constant(layer.bias))
+        value = graph.node("Add", value, graph.constant(last_bias))
+    if damping is not None:
+        value = graph.node("Add", graph.node("Div", value, damping), graph.constant(layer.ones))
     return graph.reshape(value, [-1, layer.bias.size])
 
 

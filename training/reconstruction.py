@@ -25,13 +25,15 @@ class LatentLayer:
 
     Attributes:
         weight, bias: (C, N or K, M) as stored and (C, 1, M): the latents of a cluster's groups
-            side by side, then zeros, then a one in the last column.
+            side by side, then zeros.
+        ones: (C, 1, M), a one in the last column: what is added to the latents, after they fade.
         first: where each group's latents begin in the flattened (C · M), (G,).
         one: where there is a one.
     """
 
     weight: Stored
     bias: FloatArray
+    ones: FloatArray
     first: IntArray
     one: int
 
@@ -47,15 +49,15 @@ def latent_layer(model: VisibilityModel) -> LatentLayer:
     width = int(counts.sum(axis=1).max()) + 1
     values = np.zeros((clusters, inner, width), dtype=stored.values.dtype)
     scale = np.ones((clusters, 1, width), dtype=np.float32)
-    bias = np.zeros((clusters, 1, width))
-    bias[..., -1] = 1.0
+    bias, ones = np.zeros((clusters, 1, width)), np.zeros((clusters, 1, width))
+    ones[..., -1] = 1.0
     every = np.broadcast_to(stored.scale, (groups, 1, most))
     for group, count in enumerate(model.latents):
         own = slice(before[group], before[group] + count)
         values[cluster[group], :, own] = stored.values[group, :, :count]
         scale[cluster[group], 0, own] = every[group, 0, :count]
         bias[cluster[group], 0, own] = model.regressor.bias[group, :count]
-    return LatentLayer(Stored(values, scale), bias, cluster * width + before, width - 1)
+    return LatentLayer(Stored(values, scale), bias, ones, cluster * width + before, width - 1)
 
 
 def visibility_nodes(

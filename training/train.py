@@ -128,12 +128,20 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
         rest_tangents=dataset.rest_tangents,
         metadata=describe(dataset, config, features, alpha, trials, fits),
     ).stored_as(config.storage)
+    model = with_training_range(model, values)
     report_errors(model, dataset, watch)
     model.metadata["seconds"] = {
         "fit": fit_seconds,
         "total": time.perf_counter() - started,
     }
     return model
+
+
+def with_training_range(model: VisibilityModel, features: FloatArray) -> VisibilityModel:
+    """The model that clamps to the reduced inputs of features (P, 1 or C, F), as it stores them."""
+    inputs = (np.swapaxes(features, 0, 1) - model.input_mean[:, None]) @ model.input_basis
+    low, high = (extreme(axis=1).astype(np.float32) for extreme in (inputs.min, inputs.max))
+    return dataclasses.replace(model, input_low=low, input_high=high)
 
 
 def fit_features(

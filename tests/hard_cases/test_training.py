@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from prtnet.errors import PrtnetError
+from prtnet.metrics import relative_rms
 from tests.models import random_poses
 from tests.training.data import memory_dataset
 from tests.training.test_train import SMALL
@@ -80,6 +81,35 @@ def test_far_from_the_training_poses(kind, features):
     far = data.read("pose", slice(3)).copy()
     far.reshape(3, 4, 3, 4)[..., 3] *= 100.0
     assert np.isfinite(model(far)).all()
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_far_outside_the_training_range_is_hardly_worse_than_the_mean(kind, features):
+    """Inputs ten times as far out as any seen: the answer fades to the mean."""
+    data = memory_dataset()
+    model = fitted(data, kind, features, alpha=1e-4)
+    rows = data.training_poses()
+    truth = data.read("visibility", rows)
+    middle = (model.input_low + model.input_high) / 2
+    wild = middle + 10.0 * (model.reduced(data.read("pose", rows)) - middle)
+
+    def error(model):
+        return relative_rms(model.decode(model.latent(data.read("pose", rows))), truth)
+
+    usual = relative_rms(np.broadcast_to(truth.mean(axis=0), truth.shape), truth)
+    object.__setattr__(model, "reduced", lambda _: wild.astype(np.float32))
+    assert error(model) <= 1.05 * usual
+    free = dataclasses.replace(model, input_low=None, input_high=None)
+    object.__setattr__(free, "reduced", lambda _: wild.astype(np.float32))
+    if kind == "linear":
+        assert error(free) > 2.0 * usual  # what an extrapolation says
+
+
+def test_training_range_holds_the_training_poses():
+    data = memory_dataset()
+    model = fitted(data, "linear", "occluders")
+    assert model.novelty(data.read("pose", data.training_poses())).max() < 1e-5
+    assert model.novelty(data.read("pose", data.held_out_poses())).max() > 1e-3
 
 
 def test_more_clusters_than_receivers():

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -60,3 +62,53 @@ def test_all_clips_count_where_none_is_held_out(data, model):
     result = evaluate(model, model, blocks)
     assert result["rms"] == pytest.approx(relative_rms(model(poses), truth))
     assert result["nearest"] is None
+    assert result["nearest_distance"] is None
+    assert result["poses"][0]["time"] is None
+
+
+def test_poses_and_clips_tell_the_same(data, model):
+    nearest = NearestPose(data)
+    result = evaluate(model, model, dataset_truth(model, data, data.clip_names, 3), nearest)
+    clips = [data.clip_names[k] for k in data.read("clip")]
+    assert [pose["clip"] for pose in result["poses"]] == clips
+    assert [pose["time"] for pose in result["poses"]] == data.read("time").tolist()
+    truth, predicted = data.read("visibility"), model(data.read("pose"))
+    for row, pose in enumerate(result["poses"]):
+        assert pose["rms"] == pytest.approx(relative_rms(predicted[[row]], truth[[row]]))
+    held = [pose for pose in result["poses"] if pose["clip"] == "clip2"]
+    for name in ("distance", "nearest_distance"):
+        values = [pose[name] for pose in held]
+        assert result["clips"]["clip2"][name] == result[name]
+        assert result[name] == pytest.approx({"mean": np.mean(values), "max": max(values)})
+    step = np.diff((predicted - truth)[data.held_out_poses()], axis=0)
+    motion = np.diff(truth[data.held_out_poses()], axis=0)
+    expected = np.sqrt((step**2).sum() / (motion**2).sum())
+    assert result["coherence"] == pytest.approx(expected, rel=1e-5)
+
+
+def test_training_poses_are_at_no_distance(data, model):
+    nearest = NearestPose(data)
+    result = evaluate(model, model, dataset_truth(model, data, data.clip_names), nearest)
+    for pose in result["poses"]:
+        if pose["clip"] != "clip2":
+            assert pose["distance"] < 1e-5
+            assert pose["nearest_distance"] < 0.01
+
+
+def test_distance_counts_in_the_spacing_of_training_poses(data):
+    """Twice as far from the only neighbour as training poses are from theirs."""
+    nearest = NearestPose(data)
+    known = nearest.describe(data.read("pose", data.training_poses())).astype(float)
+    every = np.linalg.norm(known[:, None] - known[None], axis=-1) + 1e9 * np.eye(len(known))
+    assert nearest.spacing == pytest.approx(np.median(every.min(axis=1)), rel=1e-3)
+    far = data.read("pose", data.held_out_poses())
+    wanted = nearest.describe(far).astype(float)
+    expected = np.linalg.norm(wanted[:, None] - known[None], axis=-1).min(axis=1)
+    assert nearest.distance(far) == pytest.approx(expected / nearest.spacing, rel=1e-3)
+
+
+def test_models_that_do_not_know_their_range_tell_no_distance(data, model):
+    free = dataclasses.replace(model, input_low=None, input_high=None)
+    result = evaluate(free, free, dataset_truth(free, data, ["clip2"]))
+    assert result["distance"] is None
+    assert result["poses"][0]["distance"] is None

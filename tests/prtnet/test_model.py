@@ -14,18 +14,25 @@ from tests.models import random_model, random_poses
 
 def slow(model, pose):
     """One receiver at a time, straight from the definition."""
-    inputs = model.reduced(pose[None])[0]
+    inputs = model.reduced(pose[None])[0].astype(np.float64)
     result = np.zeros((model.receiver_count, model.order**2))
     starts = np.concatenate([[0], np.cumsum(model.latents)])
     regressor = model.regressor
     for group, slots in enumerate(model.receivers):
         cluster = group // model.parts
-        value = inputs[cluster]
+        value, strength = inputs[cluster], 1.0
+        if model.input_low is not None:
+            box = min(cluster, len(model.input_low) - 1)
+            low, high = model.input_low[box], model.input_high[box]
+            known = np.array([min(max(v, a), b) for v, a, b in zip(value, low, high, strict=True)])
+            diagonal = sum((float(b) - a) ** 2 for a, b in zip(low, high, strict=True)) ** 0.5
+            strength = 1 / (1 + sum((value - known) ** 2) / (diagonal / 2) ** 2)
+            value = known
         if regressor.hidden_weight is not None:
             value = np.tanh(
                 value @ regressor.hidden_weight[cluster] + regressor.hidden_bias[cluster]
             )
-        latent = value @ regressor.weight[group] + regressor.bias[group]
+        latent = strength * (value @ regressor.weight[group] + regressor.bias[group])
         for slot, receiver in enumerate(slots):
             if receiver < 0:
                 continue
@@ -39,8 +46,9 @@ def slow(model, pose):
 @pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
 @pytest.mark.parametrize("features", ["joint_angles", "dihedral_angles", "occluders"])
 @pytest.mark.parametrize("parts", [1, 3])
-def test_equals_the_definition(kind, features, parts):
-    model = random_model(kind, features, parts=parts)
+@pytest.mark.parametrize("clamped", [True, False])
+def test_equals_the_definition(kind, features, parts, clamped):
+    model = random_model(kind, features, parts=parts, clamped=clamped)
     shared = kind != "neural" and features != "occluders"
     assert model.parts == (1 if shared else parts)  # sharing nothing but the inputs is no cluster
     poses = random_poses(3, 5)
@@ -62,13 +70,15 @@ def test_encode_inverts_decode_for_orthonormal_components():
 
 @pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
 @pytest.mark.parametrize("storage", STORAGES)
-def test_file_round_trip(kind, storage, tmp_path):
-    model = random_model(kind, parts=2).stored_as(storage)
+@pytest.mark.parametrize("clamped", [True, False])
+def test_file_round_trip(kind, storage, clamped, tmp_path):
+    model = random_model(kind, parts=2, clamped=clamped).stored_as(storage)
     model.save(tmp_path / "m.safetensors")
     again = VisibilityModel.load(tmp_path / "m.safetensors")
     poses = random_poses(2, 5)
     assert (again.kind, again.storage) == (kind, storage)
     assert np.array_equal(again(poses), model(poses))
+    assert (again.input_low is not None) == clamped
     again.save(tmp_path / "again.safetensors")
     files = [(tmp_path / f"{name}.safetensors").read_bytes() for name in ("m", "again")]
     assert files[0] == files[1] or storage == "float16"  # halves may choose half the scale
@@ -123,6 +133,8 @@ def rewrite(path, change_header=None, change_arrays=None):
         (None, lambda a: a.update({"scale.mean": np.ones(3, np.float32)}), "does not fit mean"),
         (None, lambda a: a.update({"scale.sun": np.ones(3, np.float32)}), "belongs to no array"),
         (None, lambda a: a["regressor.weight"].fill(np.inf), "weight holds values"),
+        (None, lambda a: a.pop("input_low"), "input_low and input_high"),
+        (None, lambda a: a["input_high"].fill(np.nan), "input_high holds values"),
         (None, lambda a: a["features.point"].fill(np.nan), "point holds values"),
         (
             None,

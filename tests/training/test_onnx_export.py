@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import onnx
 import onnxruntime
@@ -24,10 +26,11 @@ def run(model, poses):
 @pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
 @pytest.mark.parametrize("features", ["joint_angles", "dihedral_angles", "occluders"])
 @pytest.mark.parametrize("morphs", [0, 2])
-def test_graph_equals_the_numpy_reference(kind, features, morphs):
+@pytest.mark.parametrize("clamped", [True, False])
+def test_graph_equals_the_numpy_reference(kind, features, morphs, clamped):
     if features == "dihedral_angles" and morphs:
         pytest.skip("point caches have no morph targets")
-    model = random_model(kind, features, morphs=morphs)
+    model = random_model(kind, features, morphs=morphs, clamped=clamped)
     for count in (1, 7):
         poses = random_poses(count, 5, morphs, seed=count)
         expected = model(poses)
@@ -41,19 +44,38 @@ def test_graph_equals_the_numpy_reference(kind, features, morphs):
 @pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("parts", [1, 3])
-def test_fewer_bytes_and_more_groups_equal_the_reference(kind, storage, parts):
-    model = random_model(kind, receivers=900, parts=parts).stored_as(storage)
-    poses = random_poses(2, 5)
+@pytest.mark.parametrize("clamped", [True, False])
+@pytest.mark.parametrize("features", ["joint_angles", "occluders"])
+def test_fewer_bytes_and_more_groups_equal_the_reference(kind, storage, parts, clamped, features):
+    model = random_model(kind, features, morphs=2, receivers=900, parts=parts, clamped=clamped)
+    model = model.stored_as(storage)
+    poses = random_poses(4, 5, 2)
     expected = model(poses)
     assert np.abs(run(model, poses) - expected).max() <= RELATIVE * np.abs(expected).max()
 
 
 def test_the_file_shrinks_with_the_storage():
-    model = random_model(receivers=6000)
+    model = random_model(receivers=9000)
     whole, half, quarter = (build_onnx(model.stored_as(storage)).ByteSize() for storage in STORAGES)
     arrays = model.mean.nbytes + model.basis.nbytes
     assert whole - half > 0.49 * arrays
     assert whole - quarter > 0.74 * arrays
+
+
+@pytest.mark.parametrize("features", ["joint_angles", "occluders"])
+@pytest.mark.parametrize("kind", ["linear", "neural"])
+@pytest.mark.parametrize(("storage", "parts"), [("float32", 1), ("float32", 3), ("int8", 3)])
+def test_graph_clamps_and_fades_as_the_reference_does(kind, features, storage, parts):
+    """Boxes from tiny to all-embracing: far outside, at the edge and inside."""
+    model = random_model(kind, features, parts=parts).stored_as(storage)
+    poses = random_poses(5, 5)
+    inputs = model.reduced(poses)
+    for size in (1e-3, 0.3, 1.0, 1e3):
+        low = -size * np.abs(inputs).max(axis=0)[: len(model.input_low)]
+        span = {"input_low": low.astype(np.float32), "input_high": -low.astype(np.float32)}
+        boxed = dataclasses.replace(model, **span)
+        expected = boxed(poses)
+        assert np.abs(run(boxed, poses) - expected).max() <= RELATIVE * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
@@ -64,8 +86,10 @@ def test_every_order_of_the_caps(order):
     assert np.abs(run(model, poses) - expected).max() <= RELATIVE * np.abs(expected).max()
 
 
-def test_one_cluster_and_equal_latents():
-    model = random_model(clusters=1, receivers=9, seed=2)
+@pytest.mark.parametrize("features", ["joint_angles", "occluders"])
+@pytest.mark.parametrize("clamped", [True, False])
+def test_one_cluster_and_equal_latents(features, clamped):
+    model = random_model(features=features, clusters=1, receivers=9, seed=2, clamped=clamped)
     poses = random_poses(2, 5)
     expected = model(poses)
     assert np.abs(run(model, poses) - expected).max() <= RELATIVE * np.abs(expected).max()
