@@ -183,7 +183,7 @@ def evaluate(
         clips, or over all where none is held out; ``poses``: a list of every pose's clip, time,
         rms, distance and nearest_distance.
     """
-    mean = model.decode(np.zeros((1, len(model.latents), int(model.latents.max(initial=0)))))
+    mean = model.training_mean[None]
     rows: dict[str, ClipErrors] = {}
     held_out: dict[str, bool] = {}
     for block in blocks:
@@ -192,7 +192,7 @@ def evaluate(
         truth, predicted = block.visibility, predict(block.poses)
         sums.model.add(predicted, truth)
         sums.signal.add(mean, truth)
-        sums.floor.add(model.decode(model.encode(truth)), truth)
+        sums.floor.add(model.closest(block.poses, truth), truth)
         if nearest is not None:
             sums.nearest.add(nearest(block.poses), truth)
         if block.clip != SAMPLED:  # those do not follow each other in time

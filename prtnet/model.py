@@ -25,6 +25,7 @@ from prtnet.errors import PrtnetError
 from prtnet.features import Features, features_from_arrays
 from prtnet.files import writing
 from prtnet.novelty import fade, novelty
+from prtnet.prior import Prior, prior_from_arrays, prior_packings
 from prtnet.storage import (
     STORAGES,
     Packing,
@@ -38,7 +39,7 @@ from prtnet.storage import (
 __all__ = ["FORMAT_VERSION", "KINDS", "Regressor", "VisibilityModel"]
 
 FORMAT_VERSION = 1
-KINDS = ("constant", "linear", "neural")
+KINDS = ("constant", "linear", "neural", "hybrid", "shared")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +90,10 @@ class VisibilityModel:
             ``storage`` how the arrays are stored. They hold the very values that are read back.
         input_low, input_high: range of the training poses' reduced inputs, (1 or C, K); None for a
             model that neither clamps its inputs nor fades far from training.
+        prior: what receivers' surroundings say of their visibility, for kinds ``hybrid`` and
+            ``shared``: mean and components are then those of what it leaves. None elsewhere.
+        signal: visibility's mean over the training poses, (V, n²), beside a prior; None elsewhere,
+            where ``mean`` is just that.
     """
 
     kind: str
@@ -105,6 +110,8 @@ class VisibilityModel:
     metadata: dict[str, Any] = field(default_factory=dict)
     input_low: FloatArray | None = None
     input_high: FloatArray | None = None
+    prior: Prior | None = None
+    signal: FloatArray | None = None
 
     @property
     def receiver_count(self) -> int:
@@ -149,19 +156,24 @@ class VisibilityModel:
     def stored_as(self, storage: Storage) -> VisibilityModel:
         """The model whose arrays are rounded to what ``storage`` can hold."""
         model = dataclasses.replace(self, metadata={**self.metadata, "storage": storage})
-        arrays: dict[str, Any] = {name: model.stored(name).array() for name in model.packings}
-        weights = {
-            name.removeprefix("regressor."): arrays.pop(name)
-            for name in list(arrays)
-            if name.startswith("regressor.")
-        }
-        regressor = dataclasses.replace(self.regressor, **weights)
-        return dataclasses.replace(model, regressor=regressor, **arrays)
+        owned: dict[str, dict[str, Any]] = {"": {}, "regressor": {}, "prior": {}}
+        for name in model.packings:
+            owner, _, attribute = name.rpartition(".")
+            owned[owner][attribute] = model.stored(name).array()
+        regressor = dataclasses.replace(self.regressor, **owned["regressor"])
+        prior = self.prior
+        if prior is not None:
+            arrays = prior.arrays() | owned["prior"]
+            prior = prior_from_arrays(prior.kind, prior.surroundings.kind, arrays)
+        return dataclasses.replace(model, regressor=regressor, prior=prior, **owned[""])
 
     def stored(self, name: str) -> Stored:
         """An array as it is stored, by its name in the file."""
         owner, _, attribute = name.rpartition(".")
-        array = getattr(self.regressor if owner else self, attribute)
+        if owner == "prior" and self.prior is not None:
+            array = self.prior.arrays()[attribute]
+        else:
+            array = getattr(self.regressor if owner else self, attribute)
         return quantise(array, self.packings.get(name, Packing("float32")))
 
     @property
@@ -179,8 +191,14 @@ class VisibilityModel:
         matrices = {"input_basis": self.input_basis, "regressor.weight": self.regressor.weight}
         if self.regressor.hidden_weight is not None:
             matrices["regressor.hidden_weight"] = self.regressor.hidden_weight
+        means = Packing(kind, axis=(-2, -1), period=self.order**2, offset=opened)
+        beside = {} if self.signal is None else {"signal": means}
+        if self.prior is not None:
+            own = prior_packings(self.prior, kind)
+            beside |= {f"prior.{name}": packing for name, packing in own.items()}
         return {
-            "mean": Packing(kind, axis=(-2, -1), period=self.order**2, offset=opened),
+            "mean": means,
+            **beside,
             "basis": Packing(kind),
             "rest_tangents": Packing("float16", axis=(-2, -1)),
             **{
@@ -256,7 +274,24 @@ class VisibilityModel:
     def __call__(self, poses: FloatArray) -> FloatArray:
         """Visibility (P, V, n²) float32, local frames, of flattened poses (P, D)."""
         self.check_pose(poses)
-        return self.decode(self.latent(poses))
+        return self.decode(self.latent(poses)) + self.prior_part(poses)
+
+    def prior_part(self, poses: FloatArray) -> FloatArray:
+        """What the prior gives (P, V, n²), or zeros that broadcast."""
+        return np.zeros((1, 1, 1), dtype=np.float32) if self.prior is None else self.prior(poses)
+
+    @property
+    def training_mean(self) -> FloatArray:
+        """Visibility's mean over the training poses, (V, n²)."""
+        if self.signal is not None:
+            return self.signal
+        nothing = np.zeros((1, len(self.latents), int(self.latents.max(initial=0))))
+        return self.decode(nothing)[0]
+
+    def closest(self, poses: FloatArray, visibility: FloatArray) -> FloatArray:
+        """The best that the components could do for visibility (P, V, n²) of poses (P, D)."""
+        known = self.prior_part(poses)
+        return self.decode(self.encode(visibility - known)) + known
 
     def training_range(self) -> dict[str, FloatArray]:
         """The arrays ``input_low`` and ``input_high`` by name; none where they are not known."""
@@ -274,6 +309,11 @@ class VisibilityModel:
             "storage": self.storage,
         }
         arrays = {name: getattr(self, name) for name in ARRAYS} | self.training_range()
+        if self.prior is not None:
+            header |= {"prior": self.prior.kind, "surroundings": self.prior.surroundings.kind}
+            arrays |= {f"prior.{name}": a for name, a in self.prior.arrays().items()}
+        if self.signal is not None:
+            arrays["signal"] = self.signal
         arrays |= {f"regressor.{name}": a for name, a in self.regressor.arrays().items()}
         arrays |= {f"features.{name}": a for name, a in self.features.arrays().items()}
         arrays = {n: np.ascontiguousarray(a) for n, a in pack(arrays, self.packings).items()}
@@ -296,7 +336,7 @@ class VisibilityModel:
                 f"has format version {version}, this prtnet reads {FORMAT_VERSION}; train it anew",
             )
         try:
-            parts: dict[str, dict[str, Any]] = {"features": {}, "regressor": {}}
+            parts: dict[str, dict[str, Any]] = {"features": {}, "regressor": {}, "prior": {}}
             if header.get("storage", "float32") not in STORAGES:
                 raise ValueError(f"no storage is called {header['storage']}")
             arrays = unpack(arrays)
@@ -313,6 +353,8 @@ class VisibilityModel:
                 metadata=header,
                 input_low=arrays.get("input_low"),
                 input_high=arrays.get("input_high"),
+                prior=read_prior(header, parts["prior"]),
+                signal=arrays.get("signal"),
             )
             check_shapes(model)
         except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -324,6 +366,13 @@ class VisibilityModel:
 
 ARRAYS = ("input_mean", "input_basis", "latents", "receivers", "mean", "basis", "rest_tangents")
 RANGE_ARRAYS = ("input_low", "input_high")
+
+
+def read_prior(header: Mapping[str, Any], arrays: dict[str, Any]) -> Prior | None:
+    """The prior of a file, None where it has none."""
+    if header.get("prior") is None:
+        return None
+    return prior_from_arrays(header["prior"], header["surroundings"], arrays)
 
 
 def read(path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
@@ -375,6 +424,15 @@ def check_shapes(model: VisibilityModel) -> None:
     if span and [a.shape for a in span.values()] != 2 * [model.input_basis[:, 0].shape]:
         raise ValueError("input_low and input_high do not fit the inputs, or one is missing")
     every = {name: getattr(model, name) for name in ARRAYS} | span
+    if model.prior is not None:
+        count, size = model.prior.surroundings.receiver_count, model.order**2
+        if (count, model.prior.answer_size) != (model.receiver_count, size):
+            raise ValueError("the prior does not fit the receivers and the order")
+        every |= {f"prior.{name}": array for name, array in model.prior.arrays().items()}
+    if model.signal is not None:
+        if model.signal.shape != (model.receiver_count, model.order**2):
+            raise ValueError("signal does not fit the receivers and the order")
+        every["signal"] = model.signal
     every |= model.regressor.arrays() | model.features.arrays()
     for name, array in every.items():
         if not np.isfinite(array).all():

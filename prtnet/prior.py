@@ -16,9 +16,19 @@ import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.skin_surroundings import SkinSurroundings
+from prtnet.storage import Packing, Storage
 from prtnet.surroundings import Surroundings
 
-__all__ = ["MapPrior", "NetworkPrior", "Prior", "prior_from_arrays", "saturated"]
+__all__ = [
+    "MapPrior",
+    "NetworkPrior",
+    "Prior",
+    "prior_from_arrays",
+    "prior_packings",
+    "saturated",
+]
+
+FEW = 256  # numbers: a smaller table is not worth rounding
 
 SURROUNDINGS: dict[str, Any] = {SkinSurroundings.kind: SkinSurroundings}
 
@@ -45,6 +55,11 @@ class Prior(ABC):
     def of_features(self, features: FloatArray, receivers: IntArray) -> FloatArray:
         """Visibility (N, n²) float32 of receivers (N,) that see ``features`` (N, F)."""
         return self._answer(np.clip(features, self.low, self.high), receivers)
+
+    @property
+    @abstractmethod
+    def answer_size(self) -> int:
+        """Number of coefficients n² it gives a receiver."""
 
     @abstractmethod
     def _answer(self, features: FloatArray, receivers: IntArray) -> FloatArray:
@@ -85,6 +100,11 @@ class MapPrior(Prior):
     cluster: IntArray
     maps: FloatArray
 
+    @property
+    def answer_size(self) -> int:
+        """See :class:`Prior`."""
+        return self.maps.shape[2]
+
     def _answer(self, features: FloatArray, receivers: IntArray) -> FloatArray:
         both = np.concatenate([features, saturated(features)], axis=-1)
         out = np.empty((len(receivers), self.maps.shape[2]), dtype=np.float32)
@@ -124,6 +144,11 @@ class NetworkPrior(Prior):
     weights: tuple[FloatArray, ...]
     biases: tuple[FloatArray, ...]
 
+    @property
+    def answer_size(self) -> int:
+        """See :class:`Prior`."""
+        return len(self.biases[-1])
+
     def _answer(self, features: FloatArray, receivers: IntArray) -> FloatArray:
         value = np.concatenate([features, self.code[receivers]], axis=-1)
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -149,6 +174,23 @@ class NetworkPrior(Prior):
         return NetworkPrior(
             self.surroundings, self.low, self.high, matrices["code"], weights, biases
         )
+
+
+def prior_packings(prior: Prior, kind: Storage) -> dict[str, Packing]:
+    """How each of the prior's arrays is stored, by its name.
+
+    Learned matrices are stored as asked for, with a scale a column; what receivers see from is
+    geometry, and never less than half precision.
+    """
+    packings = {}
+    for name, array in prior.arrays().items():
+        if not np.issubdtype(array.dtype, np.floating) or array.size < FEW or array.ndim < 2:
+            continue
+        if name.startswith("sees_"):
+            packings[name] = Packing("float16", axis=tuple(range(-array.ndim, 0)))
+        else:
+            packings[name] = Packing(kind, axis=(-2, -1), period=array.shape[-1])
+    return packings
 
 
 def prior_from_arrays(kind: str, seen: str, arrays: dict[str, Any]) -> Prior:

@@ -7,6 +7,7 @@ from typing import Literal
 
 from prtnet.errors import PrtnetError
 from prtnet.features import Occluders
+from prtnet.skin_surroundings import SkinSurroundings
 from prtnet.storage import Storage
 
 __all__ = ["PRESETS", "TrainConfig"]
@@ -16,8 +17,10 @@ __all__ = ["PRESETS", "TrainConfig"]
 class TrainConfig:
     """Options of `prtnet train`."""
 
-    kind: Literal["constant", "linear", "neural"] = "neural"
-    """The regressor: none at all, ridge regression, or one hidden layer of tanh."""
+    kind: Literal["constant", "linear", "neural", "hybrid", "shared"] = "neural"
+    """The regressor: none at all, ridge regression, or one hidden layer of tanh. Or two that see
+    what surrounds every receiver: hybrid maps it by a matrix a cluster, shared by one network for
+    all receivers; a tanh layer a cluster then corrects what is left, in so many latents."""
     features: Literal["joint_angles", "occluders"] | None = None
     """What it sees: the papers' joint angles (dihedral angles for point caches), or the occluders
     around each cluster; when not given, occluders for skinned scenes."""
@@ -50,6 +53,24 @@ class TrainConfig:
     """Spheres that the reference points of a cluster look at."""
     feature_order: int = 3
     """Bands of the spherical harmonics of what a reference point sees, at most 3."""
+    near_spheres: int = 40
+    """Spheres that the receivers of a cluster look at: hybrid and shared."""
+    patches: int = 768
+    """About how many pieces the skin is cut into, which receivers look at: hybrid and shared."""
+    near_patches: int = 64
+    """Pieces of the skin that the receivers of a cluster look at: hybrid and shared."""
+    prior_order: int = 4
+    """Bands of the spherical harmonics of what receivers see, at most 4: hybrid and shared."""
+    samples: int = 2_000_000
+    """Pairs of a pose and a receiver that a prior is fitted to: hybrid and shared."""
+    width: int = 64
+    """Neurons in each layer of the shared network."""
+    depth: int = 2
+    """Layers of neurons of the shared network."""
+    codes: int = 16
+    """Learned numbers of each receiver that the shared network sees."""
+    steps: int = 5000
+    """Of the shared network's training."""
     alpha: float | None = None
     """Weight decay; chosen by cross-validation over whole clips when not given."""
     iterations: int = 200
@@ -68,9 +89,13 @@ class TrainConfig:
         least["restarts"] = 1
         least |= {"spheres": 1, "points": 1, "near": 1, "feature_order": 1, "latents": 0}
         least |= {"parts": 1, "step": 1}
+        least |= {"near_spheres": 1, "patches": 1, "near_patches": 1, "prior_order": 1}
+        least |= {"samples": 1, "width": 1, "depth": 1, "codes": 0, "steps": 1}
         for name, bound in least.items():
             if not getattr(self, name) >= bound:  # so that NaN fails
                 raise PrtnetError(f"--{name.replace('_', '-')}", f"must be at least {bound}")
+        if self.prior_order > SkinSurroundings.MOST_ORDER:
+            raise PrtnetError("--prior-order", f"must be at most {SkinSurroundings.MOST_ORDER}")
         if self.feature_order > Occluders.MOST_ORDER:
             raise PrtnetError("--feature-order", f"must be at most {Occluders.MOST_ORDER}")
         for name in ("output_variance", "input_variance"):

@@ -19,6 +19,7 @@ from prtnet.model import VisibilityModel
 from prtnet.storage import Stored
 from training.clamping import clamp_nodes, from_unit_nodes, unit_box
 from training.onnx_graph import GraphBuilder
+from training.onnx_prior import prior_nodes
 from training.reconstruction import LatentLayer, latent_layer, visibility_nodes
 
 __all__ = ["build_latent_onnx", "build_onnx", "export_latent_onnx", "export_onnx"]
@@ -308,7 +309,10 @@ def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
     """The model as a checked graph: ``pose`` (poses, D) in, ``visibility`` (poses, V, n²) out."""
     graph = GraphBuilder()
     layer = latent_layer(model)
-    visibility_nodes(graph, model, layer, latent_nodes(graph, model, layer))
+    prior = None
+    if model.prior is not None:
+        prior = prior_nodes(graph, model.prior, lambda name: model.stored(f"prior.{name}"))
+    visibility_nodes(graph, model, layer, latent_nodes(graph, model, layer), prior)
     shape = [model.receiver_count, model.order**2]
     return graph.model(
         model.pose_size, "visibility", shape, {"prtnet": "visibility", "kind": model.kind}

@@ -19,6 +19,8 @@ from prtnet.storage import Stored
 __all__ = ["OPSET", "PORTABLE", "GraphBuilder"]
 
 OPSET = 15
+WORTH = 1024  # numbers: smaller constants are not worth a node
+HALF_LIMIT = 65504.0  # the largest half
 PORTABLE = frozenset(
     (
         *("Add", "Cast", "Clip", "Concat", "Div", "Gather", "MatMul", "Mul", "ReduceSum"),
@@ -38,7 +40,16 @@ class GraphBuilder:
         """A float32 or int64 initializer."""
         value = np.asarray(array)
         dtype = np.int64 if np.issubdtype(value.dtype, np.integer) else np.float32
-        return self.initializer(value.astype(dtype))
+        return self.initializer(value.astype(dtype)) if dtype is np.int64 else self.real(value)
+
+    def real(self, value: FloatArray) -> str:
+        """A float32 constant; a large one whose numbers are halves is stored as halves."""
+        whole = value.astype(np.float32)
+        if whole.size >= WORTH and np.abs(whole).max() < HALF_LIMIT:
+            half = whole.astype(np.float16)
+            if np.array_equal(half, whole):
+                return self.node("Cast", self.initializer(half), to=TensorProto.FLOAT)
+        return self.initializer(whole)
 
     def initializer(self, array: Any) -> str:
         """An initializer of the array's own type."""

@@ -61,9 +61,10 @@ def latent_layer(model: VisibilityModel) -> LatentLayer:
 
 
 def visibility_nodes(
-    graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer, latents: str
-) -> None:
-    """``visibility`` (P, V, n²) of flat latents (P, C · M)."""
+    graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer, latents: str,
+    prior: str | None = None,
+) -> None:  # fmt: skip
+    """``visibility`` (P, V, n²) of flat latents (P, C · M), and of a prior's part (P, V, n²)."""
     order = np.argsort(model.latents, kind="stable")
     parts = []
     for count in np.unique(model.latents):
@@ -80,7 +81,11 @@ def visibility_nodes(
     group, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
     place = position[group] * model.receivers.shape[1] + slot
     receivers = graph.initializer(place.astype(np.int32))
-    graph.node("Gather", every, receivers, axis=1, output="visibility")
+    if prior is None:
+        graph.node("Gather", every, receivers, axis=1, output="visibility")
+        return
+    own = graph.node("Gather", every, receivers, axis=1)
+    graph.node("Add", own, prior, output="visibility")
 
 
 def row_nodes(graph: GraphBuilder, model: VisibilityModel, groups: IntArray, count: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,47 +21,17 @@ from prtnet.model import FORMAT_VERSION, Regressor, VisibilityModel
 from training.clusters import balanced_clusters, cluster_coordinates, subdivide
 from training.config import TrainConfig
 from training.inputs import fit_joint_angles, fit_occluders, interior_edges
+from training.monitor import Monitor, Silent
+from training.prior_fit import fit_prior, subtract
 from training.reduction import input_reduction, reduce_output
 from training.regression import Fit, average, fit_linear, fit_neural, total_iterations
 from training.selection import Fold, choose_alpha, folds_over_clips
 from training.signal_groups import regroup
 
-__all__ = ["Monitor", "Silent", "train"]
+__all__ = ["train"]
 
 DEFAULT_ALPHA = 3e-3  # where there is only one clip and nothing to cross-validate with
 TRIAL_ITERATIONS = 60  # cross-validation compares, it need not converge
-
-
-class Monitor(Protocol):
-    """Who watches a fit."""
-
-    def stage(self, text: str) -> None:
-        """A new stage begins."""
-
-    def progress(self, done: int, total: int, loss: float) -> None:
-        """Iterations done of the present fit, and the mean objective over clusters."""
-
-    def scalar(self, name: str, value: float, step: int) -> None:
-        """A figure to plot."""
-
-    def histogram(self, name: str, values: FloatArray, step: int) -> None:
-        """A distribution to plot."""
-
-
-class Silent:
-    """A monitor that says nothing."""
-
-    def stage(self, text: str) -> None:
-        """Nothing."""
-
-    def progress(self, done: int, total: int, loss: float) -> None:
-        """Nothing."""
-
-    def scalar(self, name: str, value: float, step: int) -> None:
-        """Nothing."""
-
-    def histogram(self, name: str, values: FloatArray, step: int) -> None:
-        """Nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +61,12 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     watch.stage("clusters and components")
     coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
     slots = balanced_clusters(coordinates, config.clusters, config.seed)
+    prior, signal = None, None
+    if config.kind in ("hybrid", "shared"):
+        signal = visibility.mean(axis=0, dtype=np.float64).astype(np.float32)
+        prior = fit_prior(dataset, poses, visibility, slots, config, watch)
+        subtract(prior, poses, visibility, watch)
+        watch.stage("components of what is left")
     latents = 0.0 if config.kind == "constant" else config.latents
     latents /= config.parts
     groups = subdivide(slots, coordinates, config.parts, config.seed)
@@ -127,6 +103,8 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
         basis=np.concatenate(output.basis),
         rest_tangents=dataset.rest_tangents,
         metadata=describe(dataset, config, features, alpha, trials, fits),
+        prior=prior,
+        signal=signal,
     ).stored_as(config.storage)
     model = with_training_range(model, values)
     report_errors(model, dataset, watch)
@@ -199,7 +177,7 @@ def select(
 
 def fit(data: Prepared, config: TrainConfig, alpha: float, watch: Monitor) -> list[Fit]:
     """The final fits: one, or several networks from different starts."""
-    if config.kind != "neural" or data.targets.shape[2] == 0:
+    if config.kind in ("constant", "linear") or data.targets.shape[2] == 0:
         return [fit_linear(data.inputs, data.targets, alpha)]
     fits = []
     limit = total_iterations(config.iterations, config.restarts)

@@ -9,8 +9,9 @@ from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
 from tests.training.data import memory_dataset
 from training.config import PRESETS, TrainConfig
+from training.monitor import Silent
 from training.tensorboard import TensorBoard
-from training.train import Silent, train
+from training.train import train
 
 SMALL = TrainConfig(
     clusters=4, neurons=6, latents=4, spheres=12, points=2, near=6, iterations=40, seed=3
