@@ -51,7 +51,8 @@ class TrainConfig:
     feature_order: int = 3
     """Bands of the spherical harmonics of what a reference point sees, at most 3."""
     alpha: float | None = None
-    """Weight decay; chosen by cross-validation over whole clips when not given."""
+    """Weight decay; chosen by cross-validation when not given, over whole clips or over quarters of
+    the only one."""
     iterations: int = 200
     """Of L-BFGS, at most."""
     seed: int = 0
