@@ -25,16 +25,16 @@ from prtnet import sh
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.occluders import cap_integrals
 from prtnet.scene import face_normals
+from prtnet.surroundings import Surroundings, fade
 
 __all__ = ["PatchSurroundings", "flipped"]
 
 SMALLEST = 1e-20  # squared lengths below it are no direction; the sheet's size is one
-SOFTEST = 0.05  # sine: a cap is faded over the horizon as if it were at least so large
 BLOCK_PAIRS = 500_000  # of receivers and patches, at a time
 
 
 @dataclass(frozen=True, eq=False)
-class PatchSurroundings:
+class PatchSurroundings(Surroundings):
     """Flattened poses (P, D) of a point cache to features (P, V, F) float32 of its receivers.
 
     Features: x of all control points over the radius of their rings, then y, z; then the order²
@@ -168,8 +168,7 @@ class PatchSurroundings:
         seen = np.abs(np.sum(areas * toward, axis=-1)) * (self.near >= 0)
         sine2 = seen / (math.pi * distance2 + seen)
         local = toward @ axes
-        softness = np.maximum(np.sqrt(sine2), SOFTEST)
-        above = np.clip(0.5 + 0.5 * local[..., 2] / softness, 0.0, 1.0)
+        above = fade(local[..., 2], sine2)
         integrals = 2.0 * math.pi * cap_integrals(np.sqrt(1.0 - sine2), self.order)
         covered = integrals[..., sh.bands(self.order)] * sh.evaluate(local, self.order)
         front = np.einsum("prk,prki->pri", above, covered)

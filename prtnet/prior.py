@@ -15,12 +15,16 @@ from typing import Any, ClassVar
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.patches import PatchSurroundings
 from prtnet.skin_surroundings import SkinSurroundings
 from prtnet.surroundings import Surroundings
 
 __all__ = ["MapPrior", "NetworkPrior", "Prior", "prior_from_arrays", "saturated"]
 
-SURROUNDINGS: dict[str, Any] = {SkinSurroundings.kind: SkinSurroundings}
+SURROUNDINGS: dict[str, Any] = {
+    SkinSurroundings.kind: SkinSurroundings,
+    PatchSurroundings.kind: PatchSurroundings,
+}
 
 
 class Prior(ABC):

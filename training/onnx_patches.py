@@ -9,7 +9,8 @@ import scipy.sparse
 
 from prtnet import sh
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.patches import SMALLEST, SOFTEST, PatchSurroundings, flipped
+from prtnet.patches import SMALLEST, PatchSurroundings, flipped
+from prtnet.surroundings import SOFTEST
 from training.onnx_graph import GraphBuilder
 
 __all__ = ["padded_rows", "patch_nodes"]

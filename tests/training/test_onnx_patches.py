@@ -19,7 +19,7 @@ def by_graph(seen, poses):
     value = patch_nodes(graph, seen, poses.shape[1])
     graph.node("Mul", value, graph.constant(1.0), output="visibility")
     shape = [seen.receiver_count, seen.feature_count]
-    model = graph.model(poses.shape[1], shape, {"prtnet": "features"})
+    model = graph.model(poses.shape[1], "visibility", shape, {"prtnet": "features"})
     return OnnxModel(model.SerializeToString(), threads=1)(poses)
 
 
