@@ -25,6 +25,7 @@ PAGE = ROOT / "docs" / "benchmarks.md"
 
 ROBOT_HELD_OUT = ("Robot_WalkJump", "Robot_Yes", "Robot_No", "Robot_Standing")
 ROBOT = GenerateConfig(count=20, holdout=ROBOT_HELD_OUT)
+CLOTH = GenerateConfig(fps=15, two_sided=True, holdout=("cloth_train@9:12",))
 HUMAN = GenerateConfig(fps=8, holdout=("Playground_A",), sample=600)
 
 
@@ -55,7 +56,7 @@ def made_with(data: Dataset, config: GenerateConfig) -> bool:
     wanted = {
         "order": config.order, "rays": config.rays, "sample": config.sample, "seed": config.seed,
         "margin": config.margin, "fps": config.rate, "count": config.count,
-        "held_out": list(config.holdout),
+        "held_out": list(config.holdout), "two_sided": config.two_sided,
     }  # fmt: skip
     return all(data.attributes.get(name) == value for name, value in wanted.items())
 

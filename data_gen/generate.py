@@ -42,7 +42,8 @@ class GenerateConfig:
     clips: tuple[str, ...] = ()
     """Clips to trace; all of them when none are named."""
     holdout: tuple[str, ...] = ()
-    """Clips among them to keep from training, for evaluation."""
+    """Clips among them to keep from training, for evaluation; or parts of them, CLIP@START:END in
+    seconds."""
     fps: float | None = None
     """Poses a second of every clip; 10 when neither this nor a count is given."""
     count: int | None = None

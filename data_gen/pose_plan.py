@@ -1,18 +1,28 @@
-"""Which poses a dataset holds: those of the clips by rate or count, then sampled ones."""
+"""Which poses a dataset holds: those of the clips by rate or count, then sampled ones.
+
+A clip may be held out in part. The poses of the part are then a clip of their own, and those nearer
+to it than a guard are left out.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from data_gen.pose_sampling import MARGIN, PoseSampler
+from prtnet.animation import Clip
 from prtnet.arrays import BoolArray, FloatArray, IntArray
 from prtnet.dataset import SAMPLED
 from prtnet.errors import PrtnetError
 from prtnet.scene import Scene
+from prtnet.time_range import GUARD, part_of, time_range
 
 __all__ = ["PosePlan", "plan_poses"]
+
+ROUNDING = 1e-6  # seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +31,8 @@ class PosePlan:
 
     Attributes:
         scene: the animated mesh.
-        clip_names: the clips, and SAMPLED after them if there are sampled poses.
+        clip_names: the clips, their parts that are held out (``clip@start:end``), and SAMPLED
+            after them if there are sampled poses.
         held_out: those not trained on.
         clip: index of each pose's clip, (P,).
         time: seconds in its clip, (P,); 0 for sampled poses.
@@ -50,10 +61,10 @@ class PosePlan:
                 first = int(np.flatnonzero(self.clip == index)[0])
                 numbers = np.arange(span.start, span.stop)[chosen] - first
                 poses[chosen], used = self.sampler.sample(numbers)
-                columns = [self.clip_names.index(clip.name) for clip in self.sampler.clips]
-                sources[chosen[:, None], columns] = used
+                for piece, own in zip(self.sampler.clips, used.T, strict=True):
+                    sources[chosen, self.clip_names.index(piece.name)] |= own
             else:
-                poses[chosen] = self.scene.poses(self.scene.clip(name), time[chosen])
+                poses[chosen] = self.scene.poses(part_of(self.scene, name), time[chosen])
                 sources[chosen, index] = True
         return poses, sources
 
@@ -73,7 +84,8 @@ def plan_poses(
     Args:
         scene: the animated mesh.
         clips: names; all of the scene's where none are given.
-        holdout: names among them that are not trained on, nor sampled from.
+        holdout: names among them that are not trained on, nor sampled from, and parts of them:
+            ``clip@start:end``, in seconds.
         fps: poses a second of every clip.
         count: poses of every clip, instead of ``fps``.
         sample: poses recombined from the training clips.
@@ -83,18 +95,23 @@ def plan_poses(
     Raises:
         PrtnetError: unknown names, nothing to train on, or nothing that can be sampled.
     """
-    known = [clip.name for clip in scene.clips]
-    chosen = [scene.clip(name) for name in dict.fromkeys(clips or known)]
-    held = [scene.clip(name).name for name in dict.fromkeys(holdout)]
-    names = [clip.name for clip in chosen]
-    for name in held:
-        if name not in names:
-            raise PrtnetError("--holdout", f"clip '{name}' is not among --clips; add it there")
-    training = [clip for clip in chosen if clip.name not in held]
+    chosen = [scene.clip(name) for name in dict.fromkeys(clips or [c.name for c in scene.clips])]
+    held = {name: part_of(scene, name) for name in dict.fromkeys(holdout)}
+    parts = parts_of_clips(chosen, held)
+    names, times, training = [], [], []
+    for clip in chosen:
+        every = clip.times(fps, count)
+        pieces = [clip] if clip.name in held else remaining(clip, parts[clip.name])
+        for name, cut in ((clip.name, pieces), *((part.name, [part]) for part in parts[clip.name])):
+            own = inside(every, cut)
+            if len(own) == 0 and name in held:
+                raise PrtnetError("--holdout", f"'{name}' holds no pose; widen it or raise --fps")
+            names.append(name)
+            times.append(own)
+        if clip.name not in held and len(inside(every, pieces)):
+            training += pieces
     if not training:
         raise PrtnetError("--holdout", "leaves no clip to train on; hold out fewer")
-    times = [clip.times(fps, count) for clip in chosen]
-    clip = [np.full(len(t), index) for index, t in enumerate(times)]
     sampler = None
     if sample:
         if SAMPLED in names:
@@ -102,12 +119,47 @@ def plan_poses(
         sampler = PoseSampler(scene, training, seed, margin)
         names.append(SAMPLED)
         times.append(np.zeros(sample))
-        clip.append(np.full(sample, len(chosen)))
     return PosePlan(
         scene,
         tuple(names),
         tuple(held),
-        np.concatenate(clip).astype(np.int32),
+        np.repeat(np.arange(len(times)), [len(t) for t in times]).astype(np.int32),
         np.concatenate(times),
         sampler,
     )
+
+
+def parts_of_clips(chosen: Sequence[Clip], held: Mapping[str, Clip]) -> dict[str, list[Clip]]:
+    """The parts of each chosen clip that are held out, in the order of time, by its name.
+
+    Raises:
+        PrtnetError: a clip is not chosen, or two parts overlap.
+    """
+    parts: dict[str, list[Clip]] = {clip.name: [] for clip in chosen}
+    for name, clip in sorted(held.items(), key=lambda item: item[1].start):
+        if name in parts:
+            continue
+        cut = time_range(name)
+        if cut is None or cut.clip not in parts:
+            what = name if cut is None else cut.clip
+            raise PrtnetError("--holdout", f"clip '{what}' is not among --clips; add it there")
+        if cut.clip in held or (parts[cut.clip] and clip.start <= parts[cut.clip][-1].end):
+            raise PrtnetError("--holdout", f"'{name}' is held out twice; name it once")
+        parts[cut.clip].append(clip)
+    return parts
+
+
+def remaining(clip: Clip, parts: Sequence[Clip]) -> list[Clip]:
+    """What parts of a clip, in the order of time, and their guards leave of it."""
+    starts = [clip.start, *(part.end + GUARD for part in parts)]
+    ends = [*(part.start - GUARD for part in parts), clip.end]
+    pieces = zip(starts, ends, strict=True)
+    return [dataclasses.replace(clip, start=a, end=b) for a, b in pieces if a <= b]
+
+
+def inside(times: FloatArray, pieces: Sequence[Clip]) -> FloatArray:
+    """Those of the times (P,) that lie in a piece."""
+    kept = np.zeros(len(times), dtype=bool)
+    for piece in pieces:
+        kept |= (times >= piece.start - ROUNDING) & (times <= piece.end + ROUNDING)
+    return times[kept]

@@ -10,6 +10,7 @@ import numpy as np
 from data_gen.visibility import PoseTracer
 from prtnet.evaluation import TruthBlock
 from prtnet.modelled_scene import ModelledScene
+from prtnet.time_range import part_of
 
 __all__ = ["scene_truth"]
 
@@ -25,7 +26,7 @@ def scene_truth(
 
     Args:
         actor: the scene, and the model whose order and frames are used.
-        clips: names.
+        clips: names, or parts ``clip@start:end``.
         fps: poses a second.
         rays: above the horizon of every receiver.
         threads: that trace.
@@ -33,11 +34,11 @@ def scene_truth(
     tracer = PoseTracer(actor.scene, actor.receivers, actor.frame_field, actor.model.order, rays)
     with ThreadPoolExecutor(threads) as pool:
         for clip in clips:
-            times = actor.scene.clip(clip).times(fps=fps)
+            times = part_of(actor.scene, clip).times(fps=fps)
             poses = actor.poses(clip, times)
             for start in range(0, len(poses), BLOCK):
                 own = slice(start, start + BLOCK)
                 block = poses[own]
                 visibility = np.stack([pose.visibility for pose in tracer.map(block, pool)])
-                held_out = clip not in actor.model.training_clips
+                held_out = not actor.model.saw(clip)
                 yield TruthBlock(clip, held_out, block, visibility, times[own])

@@ -311,16 +311,18 @@ def scene_truth(
     from data_gen import truth
     from data_gen.readers import read_scene, require_clips
     from prtnet.modelled_scene import ModelledScene
+    from prtnet.time_range import part_of
 
     scene = read_scene(options.data)
     require_clips(scene)
     actor = ModelledScene(model, scene)
-    clips = chosen(options, [clip.name for clip in scene.clips])
+    clips = [part_of(scene, name).name for name in dict.fromkeys(options.clips)]
+    clips = clips or [clip.name for clip in scene.clips]
     if options.dump is not None:
         actor.dump(options.dump, clips, options.fps, predict, dumped)
     return Truth(
         truth.scene_truth(actor, clips, options.fps, options.rays, threads(options.threads)),
-        sum(len(scene.clip(clip).times(options.fps)) for clip in clips),
+        sum(len(part_of(scene, clip).times(options.fps)) for clip in clips),
         actor.poses(clips[0], fps=options.fps)[:1],
     )
 
@@ -463,7 +465,7 @@ COMMANDS = {
     "generate": Command(
         generate,
         "Ray-trace visibility over the poses of a scene.",
-        "prtnet generate robot.glb --out robot.zarr --holdout Walk,Jump",
+        "prtnet generate robot.glb --out robot.zarr --holdout Walk,Jump@1:2.5",
     ),
     "train": Command(
         train,

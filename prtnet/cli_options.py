@@ -76,7 +76,7 @@ class EvaluateOptions:
 
     model: Positional[Path]  # from prtnet train
     data: Positional[Path]  # a dataset, or a scene to ray-trace now
-    clips: tuple[str, ...] = ()  # clips to evaluate; all when not given
+    clips: tuple[str, ...] = ()  # clips or parts CLIP@START:END; all when not given
     fps: float = 5.0  # poses a second of a scene's clips
     rays: int = 512  # rays per receiver of a scene's truth
     dump: Path | None = None  # write a scene's predictions to this .npz, in the world frame

@@ -56,7 +56,7 @@ def dataset_truth(
         for start in range(0, len(rows), block):
             own = rows[start : start + block]
             poses, truth = dataset.read("pose", own), dataset.read("visibility", own)
-            held_out = name not in model.training_clips
+            held_out = not model.saw(name)
             yield TruthBlock(name, held_out, poses, truth, dataset.read("time", own))
 
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse
 
-from prtnet.arrays import FloatArray
+from prtnet.arrays import FloatArray, IntArray
 from prtnet.scene import Geometry, Receivers, Scene, SkinnedScene, unit
 from prtnet.tangents import rest_tangents, tangents_beside
 
-__all__ = ["FrameField", "orthonormal_frames", "rest_tangents"]
+__all__ = ["FrameField", "deformation_operator", "orthonormal_frames", "rest_tangents"]
 
 
 def orthonormal_frames(tangents: FloatArray, normals: FloatArray) -> FloatArray:
@@ -54,7 +54,11 @@ class FrameField:
                 (1.0, 0.0, 0.0),
             )
         else:
-            self._carry = deformation_operator(scene, receivers, tangents)
+            fronts = np.asarray(tangents)[receivers.side > 0]
+            rest = scene.rest().positions[0]
+            carry = deformation_operator(rest, scene.faces, receivers.of_vertex, fronts)
+            copies = [carry] * (len(receivers) // len(fronts))
+            self._carry = scipy.sparse.csr_array(scipy.sparse.vstack(copies))
 
     def frames(self, poses: FloatArray, surface: Geometry | None = None) -> FloatArray:
         """Right-handed frames (P, V, 3, 3) float32 of flattened poses (P, D).
@@ -80,18 +84,23 @@ class FrameField:
 
 
 def deformation_operator(
-    scene: Scene, receivers: Receivers, tangents: FloatArray
+    rest: FloatArray, faces: IntArray, of_vertex: IntArray, tangents: FloatArray
 ) -> scipy.sparse.csr_array:
-    """Matrix (V, V_render) from vertex positions to each receiver's carried tangent.
+    """Matrix (R, vertices) from vertex positions to each front receiver's carried tangent.
 
     The deformation gradient F of a face with rest edges e₁, e₂ carries a tangent t to
     e₁' (g₁·t) + e₂' (g₂·t), with gᵢ in the face and gᵢ·eⱼ = δᵢⱼ: linear in the posed positions.
     Faces around a receiver are weighted by their rest area.
+
+    Args:
+        rest: render vertices at rest, (vertices, 3).
+        faces: triangles over them, (T, 3).
+        of_vertex: the front receiver of each, (vertices,).
+        tangents: of the front receivers at rest, (R, 3).
     """
-    rest = scene.rest().positions[0].astype(np.float64)
-    fronts = int(np.count_nonzero(receivers.side > 0))
-    corners = receivers.of_vertex[scene.faces]  # [T, 3]
-    a, b, c = (rest[scene.faces[:, k]] for k in range(3))
+    rest = np.asarray(rest, dtype=np.float64)
+    corners = of_vertex[faces]  # [T, 3]
+    a, b, c = (rest[faces[:, k]] for k in range(3))
     edges = np.stack([b - a, c - a], axis=1)  # [T, 2, 3]
     metric = edges @ edges.transpose(0, 2, 1)
     determinant = metric[:, 0, 0] * metric[:, 1, 1] - metric[:, 0, 1] ** 2
@@ -100,12 +109,11 @@ def deformation_operator(
     inverse[solid] = np.linalg.inv(metric[solid])
     duals = inverse @ edges * np.sqrt(np.maximum(determinant, 0.0))[:, None, None]  # by area
 
-    t = np.asarray(tangents[:fronts], dtype=np.float64)[corners]  # [T, corner, 3]
+    t = np.asarray(tangents, dtype=np.float64)[corners]  # [T, corner, 3]
     along = t @ duals.transpose(0, 2, 1)  # [T, corner, 2]
     values = np.concatenate([-along.sum(axis=2, keepdims=True), along], axis=2)  # on a, b, c
     rows = np.repeat(corners[:, :, None], 3, axis=2)
-    columns = np.repeat(scene.faces[:, None, :], 3, axis=1)
-    operator = scipy.sparse.csr_array(
-        (values.ravel(), (rows.ravel(), columns.ravel())), shape=(fronts, scene.vertex_count)
+    columns = np.repeat(faces[:, None, :], 3, axis=1)
+    return scipy.sparse.csr_array(
+        (values.ravel(), (rows.ravel(), columns.ravel())), shape=(len(tangents), len(rest))
     )
-    return scipy.sparse.csr_array(scipy.sparse.vstack([operator] * (len(receivers) // fronts)))

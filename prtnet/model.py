@@ -35,6 +35,7 @@ from prtnet.storage import (
     quantise,
     unpack,
 )  # fmt: skip
+from prtnet.time_range import is_seen
 
 __all__ = ["FORMAT_VERSION", "KINDS", "Regressor", "VisibilityModel"]
 
@@ -129,6 +130,10 @@ class VisibilityModel:
         return frozenset(self.metadata.get("clips", ())) - frozenset(
             self.metadata.get("held_out", ())
         )
+
+    def saw(self, clip: str) -> bool:
+        """Whether training saw any of a clip, or of a part of one (``clip@start:end``)."""
+        return is_seen(clip, self.training_clips, self.metadata.get("held_out", ()))
 
     @property
     def slot_of_receiver(self) -> IntArray:

@@ -16,6 +16,7 @@ from prtnet.frames import FrameField
 from prtnet.model import VisibilityModel
 from prtnet.scene import Geometry, Receivers, Scene
 from prtnet.sh_rotation import rotate
+from prtnet.time_range import part_of
 
 __all__ = ["ModelledScene"]
 
@@ -66,12 +67,12 @@ class ModelledScene:
         return self.receivers.of_vertex[self.scene.faces]
 
     def poses(self, clip: str, times: FloatArray | None = None, fps: float = 5.0) -> FloatArray:
-        """Flattened poses (P, D) of a clip, at the given times or so many a second.
+        """Flattened poses (P, D) of a clip or a part of one, at times or so many a second.
 
         Raises:
             PrtnetError: there is no such clip, or a time is outside it.
         """
-        found = self.scene.clip(clip)
+        found = part_of(self.scene, clip)
         if times is None:
             times = found.times(fps=fps)
         if not (np.min(times) >= found.start - 1e-6 and np.max(times) <= found.end + 1e-6):

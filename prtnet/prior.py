@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.patches import PatchSurroundings
 from prtnet.skin_surroundings import SkinSurroundings
 from prtnet.storage import Packing, Storage
 from prtnet.surroundings import Surroundings
@@ -30,7 +31,10 @@ __all__ = [
 
 FEW = 256  # numbers: a smaller table is not worth rounding
 
-SURROUNDINGS: dict[str, Any] = {SkinSurroundings.kind: SkinSurroundings}
+SURROUNDINGS: dict[str, Any] = {
+    SkinSurroundings.kind: SkinSurroundings,
+    PatchSurroundings.kind: PatchSurroundings,
+}
 
 
 class Prior(ABC):

@@ -72,7 +72,8 @@ class TrainConfig:
     steps: int = 5000
     """Of the shared network's training."""
     alpha: float | None = None
-    """Weight decay; chosen by cross-validation over whole clips when not given."""
+    """Weight decay; chosen by cross-validation when not given, over whole clips or over quarters of
+    the only one."""
     iterations: int = 200
     """Of L-BFGS, at most."""
     seed: int = 0

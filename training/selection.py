@@ -1,4 +1,4 @@
-"""Weight decay by cross-validation over whole clips.
+"""Weight decay by cross-validation over whole clips, or over time where there is only one.
 
 Poses of one clip are near copies of each other: a random split would flatter every model. A pose
 sampled from a held-back clip is held back with it.
@@ -13,10 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from prtnet.arrays import BoolArray
+from prtnet.arrays import BoolArray, FloatArray
+from prtnet.time_range import GUARD
 from training.regression import Fit
 
-__all__ = ["Fold", "choose_alpha", "folds_over_clips"]
+__all__ = ["Fold", "choose_alpha", "folds_over_clips", "folds_over_time"]
 
 ALPHAS = (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 1.0)
 START = 3e-3
@@ -57,6 +58,35 @@ def folds_over_clips(sources: BoolArray, most: int = 4) -> list[Fold]:
     return folds
 
 
+def folds_over_time(
+    time: FloatArray, direct: BoolArray, count: int = 4, guard: float = GUARD
+) -> list[Fold]:
+    """Folds that leave contiguous quarters of a single clip out.
+
+    Args:
+        time: seconds of each training pose in the clip, (P,).
+        direct: whether a pose was taken from the clip as it is, (P,). Sampled poses mix moments of
+            all quarters: no fold uses them.
+        count: of folds, of about equally many poses.
+        guard: seconds around what a fold validates on that it does not fit to either.
+
+    Returns:
+        No folds where the clip is too short for two of them.
+    """
+    order = np.flatnonzero(direct)[np.argsort(time[direct], kind="stable")]
+    folds = []
+    for block in np.array_split(order, count):
+        if len(block) == 0:
+            continue
+        first, last = time[block[0]], time[block[-1]]
+        train: BoolArray = direct & ((time < first - guard) | (time > last + guard))
+        if train.sum() >= FEWEST_POSES:
+            validate = np.zeros(len(time), dtype=bool)
+            validate[block] = True
+            folds.append(Fold(train, validate))
+    return folds if len(folds) > 1 else []
+
+
 def choose_alpha(
     fit: Callable[[Tensor, Tensor, float], Fit],
     inputs: Tensor,
@@ -75,7 +105,7 @@ def choose_alpha(
         fit: (inputs (C, P, K), targets (C, P, L), α) to a fit.
         inputs: of all training poses, (C, P, K).
         targets: their latents, (C, P, L).
-        folds: from :func:`folds_over_clips`.
+        folds: from :func:`folds_over_clips` or :func:`folds_over_time`.
         alphas: candidates, ascending, ``start`` among them.
         start: tried first.
         on_candidate: called with each α and its error.

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from prtnet import __version__
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.dataset import Dataset
+from prtnet.dataset import SAMPLED, Dataset
 from prtnet.errors import PrtnetError
 from prtnet.features import Features
 from prtnet.metrics import ErrorSum
@@ -25,12 +25,12 @@ from training.monitor import Monitor, Silent
 from training.prior_fit import fit_prior, subtract
 from training.reduction import input_reduction, reduce_output
 from training.regression import Fit, average, fit_linear, fit_neural, total_iterations
-from training.selection import Fold, choose_alpha, folds_over_clips
+from training.selection import Fold, choose_alpha, folds_over_clips, folds_over_time
 from training.signal_groups import regroup
 
 __all__ = ["train"]
 
-DEFAULT_ALPHA = 3e-3  # where there is only one clip and nothing to cross-validate with
+DEFAULT_ALPHA = 3e-3  # where there is too little to cross-validate with
 TRIAL_ITERATIONS = 60  # cross-validation compares, it need not converge
 
 
@@ -82,7 +82,7 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     inputs = np.broadcast_to(inputs, (len(slots), *inputs.shape[1:]))
     data = to_device(inputs, side_by_side(output.targets, config.parts), config.device)
 
-    folds = folds_over_clips(dataset.read("sources", rows).astype(bool))
+    folds = cross_validation_folds(dataset, rows)
     alpha, trials = select(data, config, folds, watch)
     watch.stage(f"{config.kind} fit, α = {alpha:g}")
     fit_started = time.perf_counter()
@@ -142,6 +142,17 @@ def fit_features(
     )  # fmt: skip
 
 
+def cross_validation_folds(dataset: Dataset, rows: IntArray) -> list[Fold]:
+    """Folds over the clips of the training poses ``rows``, or over time where there is only one."""
+    folds = folds_over_clips(dataset.read("sources", rows).astype(bool))
+    if folds:
+        return folds
+    direct = np.array([name != SAMPLED for name in dataset.clip_names])[dataset.clip[rows]]
+    if len(np.unique(dataset.clip[rows][direct])) != 1:
+        return []
+    return folds_over_time(dataset.time[rows], direct)
+
+
 def to_device(inputs: FloatArray, targets: FloatArray, device: str) -> Prepared:
     """Tensors on the device, float32: the closed forms keep their accuracy (see the tests)."""
     try:
@@ -157,12 +168,12 @@ def to_device(inputs: FloatArray, targets: FloatArray, device: str) -> Prepared:
 def select(
     data: Prepared, config: TrainConfig, folds: list[Fold], watch: Monitor
 ) -> tuple[float, dict[float, float]]:
-    """α as configured, or by cross-validation over clips."""
+    """α as configured, or by cross-validation."""
     if config.alpha is not None:
         return config.alpha, {}
     if config.kind == "constant" or len(folds) < 2 or data.targets.shape[2] == 0:
         return DEFAULT_ALPHA, {}
-    watch.stage(f"cross-validation over clips, {len(folds)} folds")
+    watch.stage(f"cross-validation, {len(folds)} folds")
 
     def trial(inputs: Tensor, targets: Tensor, alpha: float) -> Fit:
         if config.kind == "linear":

@@ -183,6 +183,14 @@ def complaint(scene: SkinnedScene, tmp_path: Path, **options: object) -> str:
         ({"clips": ("bend",), "holdout": ("last",)}, "'last' is not among --clips"),
         ({"clips": ("bend",), "holdout": ("bend",)}, "leaves no clip to train on"),
         ({"holdout": ("bend", "first", "last")}, "leaves no clip to train on"),
+        ({"holdout": ("bend@0.1:0.2",)}, "holds no pose"),
+        ({"holdout": ("bend@0:4",), "clips": ("bend",)}, "leaves no clip to train on"),
+        ({"holdout": ("bend@0.2:",), "clips": ("bend",)}, "leaves no clip to train on"),
+        ({"holdout": ("bend@9:12",)}, "'bend' runs from 0 to 4 s; give a range inside it"),
+        ({"holdout": ("bund@1:2",)}, "has no clip 'bund'; did you mean 'bend'?"),
+        ({"holdout": ("bend@1:2",), "clips": ("last",)}, "'bend' is not among --clips"),
+        ({"holdout": ("bend@1:2", "bend@2:3")}, "'bend@2:3' is held out twice"),
+        ({"holdout": ("bend", "bend@2:3")}, "'bend@2:3' is held out twice"),
         ({"rays": 0}, "--rays: must be at least 1"),
         ({"order": 0}, "--order: must be at least 1"),
         ({"sample": -1}, "--sample: must be at least 0"),
@@ -196,6 +204,41 @@ def test_impossible_options(
     scene: SkinnedScene, tmp_path: Path, options: dict[str, object], words: str
 ) -> None:
     assert words in complaint(scene, tmp_path, **options)
+
+
+def test_part_of_a_clip_is_held_out_with_a_guard(scene: SkinnedScene) -> None:
+    plan = plan_poses(scene, ("first", "bend"), ("bend@2.4:3", "bend@0.9:1"), count=41)
+    assert plan.clip_names == ("first", "bend", "bend@0.9:1", "bend@2.4:3")
+    assert plan.held_out == ("bend@2.4:3", "bend@0.9:1")
+    times = [plan.time[plan.clip == index] for index in range(4)]
+    assert len(times[0]) == 41
+    every = np.linspace(0.0, 4.0, 41)
+    near = ((every > 0.4 + 1e-9) & (every < 1.5 - 1e-9)) | (
+        (every > 1.9 + 1e-9) & (every < 3.5 - 1e-9)
+    )
+    np.testing.assert_allclose(times[1], every[~near])
+    np.testing.assert_allclose(times[2], [0.9, 1.0])
+    np.testing.assert_allclose(times[3], np.arange(24, 31) / 10)
+    poses, sources = plan.poses(slice(0, len(plan)))
+    np.testing.assert_array_equal(sources, np.eye(4, dtype=bool)[plan.clip])
+    bend = scene.poses(scene.clip("bend"), plan.time[41:])
+    np.testing.assert_array_equal(poses[41:], bend)
+
+
+def test_sampled_poses_keep_away_from_parts_held_out(scene: SkinnedScene) -> None:
+    """The joint bends with time alone, so a pose tells the time it was taken from."""
+    plan = plan_poses(
+        scene, ("bend", "first"), ("bend@1.2:4", "first"), count=5, sample=30, margin=0.0
+    )
+    poses, sources = plan.poses(slice(len(plan) - 30, len(plan)))
+    np.testing.assert_array_equal(sources, [[True, False, False, False]] * 30)
+    allowed = scene.poses(scene.clip("bend"), np.linspace(0.0, 0.7, 50))
+    low, high = allowed.min(axis=0), allowed.max(axis=0)
+    assert ((poses > low - 0.02) & (poses < high + 0.02)).all()
+    # From both sides of a part: both are the clip.
+    plan = plan_poses(scene, ("bend",), ("bend@1.9:2.1",), count=9, sample=30)
+    _, sources = plan.poses(slice(len(plan) - 30, len(plan)))
+    np.testing.assert_array_equal(sources, [[True, False, False]] * 30)
 
 
 def test_point_caches_cannot_be_sampled(tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ def memory_dataset(poses=None, visibility=None, clips=3, per_clip=8, joints=4, s
     positions = (np.eye(3)[owner % 3] + 0.1 * rng.normal(size=(receivers, 3))).astype(np.float32)
     return SimpleNamespace(
         path=Path("memory.zarr"), order=2, clip_names=names, held_out=held,
+        clip=label, time=np.arange(count) / 4.0,
         scene_kind="skinned", scene_name="balls", scene_sha256="0", mesh_sha256="0",
         two_sided=False, joint_names=[f"joint{k}" for k in range(joints)],
         joint_parents=np.arange(-1, joints - 1), joint_weights=np.eye(joints)[owner],

@@ -4,7 +4,13 @@ import numpy as np
 import torch
 
 from training.regression import fit_linear
-from training.selection import ALPHAS, choose_alpha, folds_over_clips, validation_loss
+from training.selection import (
+    ALPHAS,
+    choose_alpha,
+    folds_over_clips,
+    folds_over_time,
+    validation_loss,
+)
 
 
 def sources(*rows):
@@ -32,6 +38,27 @@ def test_many_clips_are_grouped_evenly():
 
 def test_one_clip_has_no_folds():
     assert folds_over_clips(sources([1, 0], [1, 0])) == []
+
+
+def test_folds_over_time_leave_quarters_and_their_guards_out():
+    rng = np.random.default_rng(0)
+    time = rng.permutation(np.concatenate([np.arange(40) / 10.0, np.zeros(5)]))
+    direct = np.ones(45, dtype=bool)
+    direct[np.flatnonzero(time == 0.0)[:5]] = False  # sampled
+    folds = folds_over_time(time, direct)
+    assert len(folds) == 4
+    validated = np.stack([fold.validate for fold in folds])
+    np.testing.assert_array_equal(validated.sum(axis=0), direct.astype(int))
+    for fold in folds:
+        assert np.ptp(time[fold.validate]) <= 0.9 + 1e-9
+        assert not fold.train[~direct].any()
+        gaps = np.abs(time[fold.train][:, None] - time[fold.validate]).min(axis=1)
+        assert gaps.min() > 0.5
+        assert fold.train.sum() >= 40 - 10 - 2 * 5
+
+
+def test_a_short_clip_has_no_folds_over_time():
+    assert folds_over_time(np.arange(6) / 30.0, np.ones(6, dtype=bool)) == []
 
 
 def test_best_alpha_is_between_too_stiff_and_too_loose():

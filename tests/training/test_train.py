@@ -100,6 +100,11 @@ def test_metadata_tells_how_it_was_made(tmp_path):
     assert set(header["seconds"]) == {"fit", "total"}
 
 
+def test_a_single_clip_is_cross_validated_over_time():
+    model = train(memory_dataset(clips=1, per_clip=24), dataclasses.replace(SMALL, kind="linear"))
+    assert len(model.metadata["cross_validation"]) >= 2
+
+
 def test_held_out_clips_change_nothing_but_their_error():
     data, other = memory_dataset(), memory_dataset()
     other.read("visibility", other.held_out_poses())  # a copy: change the array itself
