@@ -311,7 +311,11 @@ def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
     layer = latent_layer(model)
     prior = None
     if model.prior is not None:
-        prior = prior_nodes(graph, model.prior, lambda name: model.stored(f"prior.{name}"))
+
+        def stored(name: str) -> Stored:
+            return model.stored(f"prior.{name}")
+
+        prior = prior_nodes(graph, model.prior, stored, model.pose_size)
     visibility_nodes(graph, model, layer, latent_nodes(graph, model, layer), prior)
     shape = [model.receiver_count, model.order**2]
     return graph.model(

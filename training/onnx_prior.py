@@ -7,11 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from prtnet.arrays import IntArray
+from prtnet.patches import PatchSurroundings
 from prtnet.prior import MapPrior, NetworkPrior, Prior
 from prtnet.skin_surroundings import SkinSurroundings
 from prtnet.storage import Stored
 from training.onnx_expression import Value
 from training.onnx_graph import GraphBuilder
+from training.onnx_patches import patch_nodes
 from training.onnx_skin import cluster_slots, skin_nodes
 
 __all__ = ["prior_nodes"]
@@ -19,15 +21,18 @@ __all__ = ["prior_nodes"]
 WHOLE = 2**31 - 1  # the end of any axis
 
 
-def prior_nodes(graph: GraphBuilder, prior: Prior, stored: Callable[[str], Stored]) -> str:
+def prior_nodes(
+    graph: GraphBuilder, prior: Prior, stored: Callable[[str], Stored], pose_size: int
+) -> str:
     """(P, V, n²) the prior's part of visibility.
 
     Args:
         graph: with the input ``pose``.
         prior: maps or a network.
         stored: a learned array of the prior as it is stored, by its name.
+        pose_size: length D of a flattened pose.
     """
-    slots, features = seen_nodes(graph, prior)  # [P, C, R, F]
+    slots, features = seen_nodes(graph, prior, pose_size)  # [P, C, R, F]
     kept = clamped(Value(graph, features), prior)
     if isinstance(prior, MapPrior):
         both = graph.node("Concat", kept.name, (kept / (kept.magnitude() * 0.5 + 1.0)).name, axis=3)
@@ -45,11 +50,19 @@ def prior_nodes(graph: GraphBuilder, prior: Prior, stored: Callable[[str], Store
     return graph.node("Gather", flat, graph.initializer(place), axis=1)
 
 
-def seen_nodes(graph: GraphBuilder, prior: Prior) -> tuple[IntArray, str]:
+def seen_nodes(graph: GraphBuilder, prior: Prior, pose_size: int) -> tuple[IntArray, str]:
     """Receivers in slots (C, R), and what they see (P, C, R, F)."""
-    if isinstance(prior.surroundings, SkinSurroundings):
-        return cluster_slots(prior.surroundings.cluster), skin_nodes(graph, prior.surroundings)
-    raise TypeError(f"no ONNX form of {type(prior.surroundings).__name__}")
+    sees = prior.surroundings
+    if isinstance(sees, SkinSurroundings):
+        return cluster_slots(sees.cluster), skin_nodes(graph, sees)
+    if not isinstance(sees, PatchSurroundings):
+        raise TypeError(f"no ONNX form of {type(sees).__name__}")
+    features = patch_nodes(graph, sees, pose_size)  # [P, V, F]
+    if isinstance(prior, MapPrior):
+        slots = cluster_slots(prior.cluster)
+        return slots, graph.node("Gather", features, graph.constant(slots), axis=1)
+    everyone = np.arange(sees.receiver_count)[None]
+    return everyone, graph.reshape(features, [-1, *everyone.shape, sees.feature_count])
 
 
 def clamped(features: Value, prior: Prior) -> Value:

@@ -13,6 +13,7 @@ from prtnet.prior import MapPrior, NetworkPrior, Prior
 from prtnet.surroundings import Surroundings
 from training.config import TrainConfig
 from training.monitor import Monitor
+from training.patch_fit import fit_patches
 from training.prior_samples import draw_samples
 from training.ridge_maps import fit_maps
 from training.shared_network import NetworkConfig, fit_network
@@ -25,6 +26,11 @@ def fit_surroundings(
     dataset: Dataset, poses: FloatArray, slots: IntArray, config: TrainConfig
 ) -> Surroundings:
     """What receivers of the dataset's scene see, as configured."""
+    if dataset.joint_weights is None:
+        return fit_patches(
+            dataset.faces, dataset.receiver_of_vertex, dataset.rest_pose.reshape(-1, 3),
+            dataset.rest_tangents, dataset.two_sided, order=config.prior_order,
+        )  # fmt: skip
     return fit_skin(
         dataset, poses, slots, spheres=config.spheres, near_spheres=config.near_spheres,
         patches=config.patches, near_patches=config.near_patches, order=config.prior_order,
