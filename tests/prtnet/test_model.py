@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -10,6 +11,7 @@ from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
 from prtnet.storage import STORAGES
 from tests.models import random_model, random_poses
+from tests.priors import random_prior
 
 
 def slow(model, pose):
@@ -171,3 +173,31 @@ def test_nothing_is_left_when_writing_fails(tmp_path):
     with pytest.raises(PrtnetError, match="cannot be written"):
         random_model().save(tmp_path / "nowhere" / "m.safetensors")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["maps", "network"])
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_prior_is_added_and_kept_in_the_file(kind, storage, tmp_path):
+    plain = random_model()
+    signal = np.random.default_rng(0).normal(size=(40, 9)).astype(np.float32)
+    prior = random_prior(kind)
+    model = dataclasses.replace(plain, prior=prior, signal=signal)
+    poses = random_poses(2, 5)
+    assert np.array_equal(model(poses), plain(poses) + prior(poses))
+    assert np.array_equal(model.training_mean, signal)
+    truth = model(poses)
+    best = model.closest(poses, truth) - truth
+    assert np.abs(best).max() <= np.abs(plain.closest(poses, truth) - truth).max() + 1e-3
+    rounded = model.stored_as(storage)
+    rounded.save(tmp_path / "m.safetensors")
+    again = VisibilityModel.load(tmp_path / "m.safetensors")
+    assert np.array_equal(again(poses), rounded(poses))
+    error = np.linalg.norm(rounded(poses) - truth) / np.linalg.norm(truth)
+    assert error <= {"float32": 0.0, "float16": 1e-3, "int8": 2e-2}[storage]
+
+
+def test_a_prior_of_other_receivers_is_refused(tmp_path):
+    model = dataclasses.replace(random_model(receivers=39), prior=random_prior("maps"))
+    model.save(tmp_path / "m.safetensors")
+    with pytest.raises(PrtnetError, match="prior does not fit"):
+        VisibilityModel.load(tmp_path / "m.safetensors")

@@ -9,6 +9,7 @@ import pytest
 
 from prtnet.storage import STORAGES
 from tests.models import random_model, random_poses
+from tests.priors import random_prior
 from training.onnx_export import build_onnx, export_onnx
 from training.onnx_graph import OPSET, PORTABLE, GraphBuilder
 
@@ -108,3 +109,12 @@ def test_file_passes_the_checker(tmp_path):
     export_onnx(random_model(), tmp_path / "model.onnx")
     onnx.checker.check_model(str(tmp_path / "model.onnx"), full_check=True)
     assert [f.name for f in tmp_path.iterdir()] == ["model.onnx"]
+
+
+@pytest.mark.parametrize("kind", ["maps", "network"])
+@pytest.mark.parametrize("storage", STORAGES)
+def test_graph_adds_the_prior(kind, storage):
+    model = dataclasses.replace(random_model(), prior=random_prior(kind)).stored_as(storage)
+    poses = random_poses(3, 5)
+    expected = model(poses)
+    assert np.abs(run(model, poses) - expected).max() <= RELATIVE * np.abs(expected).max()
