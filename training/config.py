@@ -15,15 +15,20 @@ __all__ = ["PRESETS", "TrainConfig"]
 class TrainConfig:
     """Options of `prtnet train`."""
 
-    kind: Literal["constant", "linear", "neural"] = "neural"
-    """The regressor: none at all, ridge regression, or one hidden layer of tanh."""
-    features: Literal["joint_angles", "occluders"] | None = None
-    """What it sees: the papers' joint angles (dihedral angles for point caches), or the occluders
-    around each cluster; when not given, occluders for skinned scenes."""
+    kind: Literal["constant", "linear", "quadratic", "neural"] = "neural"
+    """The regressor: none at all, ridge regression on the inputs or also on the products of the
+    leading ones, or one hidden layer of tanh."""
+    features: Literal["joint_angles", "local_joints", "occluders"] | None = None
+    """What it sees: the papers' joint angles (dihedral angles for point caches), or what is around
+    each cluster, joints or occluders; when not given, occluders for skinned scenes."""
     clusters: int = 64
     """Clusters of receivers, equally large."""
     neurons: int = 32
     """Neurons in each cluster's hidden layer."""
+    leading: int = 12
+    """So many leading inputs are multiplied with each other in a quadratic model."""
+    smoothness: float = 0.0
+    """Linear and quadratic: weight of the prior that what moves little changes little."""
     networks: int = 1
     """Networks fitted from different starts and averaged into one of networks × neurons."""
     output_variance: float = 0.99
@@ -55,6 +60,7 @@ class TrainConfig:
         """Refuse values that cannot work."""
         least = {"clusters": 1, "neurons": 1, "networks": 1, "inputs": 1, "iterations": 1}
         least |= {"spheres": 1, "points": 1, "near": 1, "feature_order": 1, "latents": 0}
+        least |= {"leading": 1}
         for name, bound in least.items():
             if not getattr(self, name) >= bound:  # so that NaN fails
                 raise PrtnetError(f"--{name.replace('_', '-')}", f"must be at least {bound}")
@@ -63,8 +69,10 @@ class TrainConfig:
         for name in ("output_variance", "input_variance"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise PrtnetError(f"--{name.replace('_', '-')}", "must be above 0 and at most 1")
-        if self.alpha is not None and not 0 <= self.alpha < float("inf"):
-            raise PrtnetError("--alpha", "must be a finite number, at least 0")
+        for name in ("alpha", "smoothness"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < float("inf"):
+                raise PrtnetError(f"--{name}", "must be a finite number, at least 0")
         if not 0 <= self.seed < 2**32:
             raise PrtnetError("--seed", "must be at least 0 and below 2^32")
 

@@ -13,7 +13,15 @@ import onnx
 
 from prtnet import sh
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.features import FULL_FOLD, SMALLEST, DihedralAngles, Features, JointAngles, Occluders
+from prtnet.features import (
+    FULL_FOLD,
+    SMALLEST,
+    DihedralAngles,
+    Features,
+    JointAngles,
+    LocalJoints,
+    Occluders,
+)
 from prtnet.files import writing
 from prtnet.model import VisibilityModel
 from training.onnx_graph import GraphBuilder
@@ -81,6 +89,23 @@ def dihedral_angle_nodes(graph: GraphBuilder, features: DihedralAngles, pose_siz
     twice = graph.node("Mul", graph.total(sine, 1, keep=True), two)
     base = graph.clip(graph.node("Add", graph.node("Mul", cosine, two), two), FULL_FOLD)
     return graph.node("Div", twice, graph.node("Sqrt", base))
+
+
+def local_joint_nodes(graph: GraphBuilder, features: LocalJoints) -> str:
+    """(P, C, 3·J) where the joints are in the frame of each cluster's joint."""
+    matrices = joint_matrices(graph, features.joints)
+    home = graph.node("Gather", matrices, graph.constant(features.cluster_joint), axis=1)
+    linear, offset = graph.slice(home, 0, 3, 3), graph.slice(home, 3, 4, 3)
+    inverse = graph.node("Div", linear, squared_columns(graph, linear))
+    inverse = graph.node("Transpose", inverse, perm=[0, 1, 3, 2])
+    places = graph.node("Transpose", graph.slice(matrices, 3, 4, 3), perm=[0, 3, 2, 1])
+    away = graph.node("Sub", places, offset)  # [P, C, 3, J]
+    local = graph.node("MatMul", inverse, away)
+    square = graph.total(graph.node("Mul", local, local), 2, keep=True)
+    distance = graph.node("Sqrt", graph.clip(square, SMALLEST))
+    reach = graph.constant(features.reach[:, None, None])
+    seen = graph.node("Div", local, graph.node("Add", distance, reach))
+    return graph.reshape(seen, [-1, len(features.cluster_joint), 3 * features.joints])
 
 
 def near_nodes(graph: GraphBuilder, features: Occluders) -> tuple[str, str]:
@@ -206,6 +231,8 @@ def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> st
         return dihedral_angle_nodes(graph, features, pose_size)
     if isinstance(features, JointAngles):
         value, clusters = joint_angle_nodes(graph, features), 1
+    elif isinstance(features, LocalJoints):
+        value, clusters = local_joint_nodes(graph, features), len(features.cluster_joint)
     elif isinstance(features, Occluders):
         value, clusters = occluder_nodes(graph, features), len(features.near)
     else:
@@ -220,29 +247,67 @@ def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> st
 
 
 def first_layer_nodes(
-    graph: GraphBuilder, model: VisibilityModel, value: str, first: FloatArray, order: IntArray
+    graph: GraphBuilder,
+    model: VisibilityModel,
+    value: str,
+    first: FloatArray | None,
+    order: IntArray,
 ) -> str:
-    """(P, C, 1, N): features through the input PCA and the first layer, clusters in ``order``."""
+    """(P, C, 1, N): features through the input PCA and the first layer, clusters in ``order``.
+
+    Without a first layer these are the reduced inputs, (P, 1 or C, 1, K).
+    """
     size = model.input_mean.shape[1]
     mean: FloatArray = model.input_mean.astype(np.float64)
-    basis = model.input_basis.astype(np.float64)
-    if not isinstance(model.features, Occluders):  # the same for all clusters: reduced once
+    basis: FloatArray = model.input_basis.astype(np.float64)
+    if isinstance(model.features, JointAngles | DihedralAngles):  # the same for all clusters
         value = graph.reshape(value, [-1, 1, 1, size])
         centred = graph.node("Sub", value, graph.constant(mean[0]))
         reduced = graph.node("MatMul", centred, graph.constant(basis[0]))
-        return graph.node("MatMul", reduced, graph.constant(first[order]))
+        return (
+            reduced
+            if first is None
+            else graph.node("MatMul", reduced, graph.constant(first[order]))
+        )
     # Everything linear in a cluster's features is one matrix.
-    caps = model.features.point.shape[1] * model.features.order**2
     linear: FloatArray = np.eye(size)
-    linear[:caps, :caps] = np.kron(
-        np.eye(model.features.point.shape[1]), band_map(model.features.order)
-    )
+    if isinstance(model.features, Occluders):
+        caps = model.features.point.shape[1] * model.features.order**2
+        bands = band_map(model.features.order)
+        linear[:caps, :caps] = np.kron(np.eye(model.features.point.shape[1]), bands)
     value = graph.reshape(value, [-1, len(order), 1, size])
     if not np.array_equal(order, np.arange(len(order))):
         value = graph.node("Gather", value, graph.constant(order), axis=1)
     mean = np.linalg.solve(linear.T, mean[order][..., None])[..., 0]
     centred = graph.node("Sub", value, graph.constant(mean[:, None]))
-    return graph.node("MatMul", centred, graph.constant(linear @ basis[order] @ first[order]))
+    weight = linear @ basis[order]
+    if first is not None:
+        weight = weight @ first[order]
+    return graph.node("MatMul", centred, graph.constant(weight))
+
+
+def regressor_nodes(
+    graph: GraphBuilder, model: VisibilityModel, value: str, order: IntArray
+) -> tuple[str, FloatArray]:
+    """What the last layer sees of the features, (P, C, 1, N), and that layer's weights (C, N, L).
+
+    Of a layer without a hidden one before it nothing is left but the unit matrix.
+    """
+    regressor = model.regressor
+    weight: FloatArray = regressor.weight.astype(np.float64)
+    if regressor.hidden_weight is not None and regressor.hidden_bias is not None:
+        hidden: FloatArray = regressor.hidden_weight.astype(np.float64)
+        value = first_layer_nodes(graph, model, value, hidden, order)
+        shift = graph.constant(regressor.hidden_bias[order][:, None])
+        return graph.node("Tanh", graph.node("Add", value, shift)), weight
+    if regressor.pairs is None:
+        value = first_layer_nodes(graph, model, value, weight, order)
+    else:
+        reduced = first_layer_nodes(graph, model, value, None, order)
+        pair = (graph.node("Gather", reduced, graph.constant(k), axis=3) for k in regressor.pairs)
+        every = graph.node("Concat", reduced, graph.node("Mul", *pair), axis=3)
+        value = graph.node("MatMul", every, graph.constant(weight[order]))
+    return value, np.broadcast_to(np.eye(weight.shape[2]), (len(order), *2 * weight.shape[2:]))
 
 
 def reconstruction_nodes(
@@ -294,17 +359,9 @@ def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
     """The model as a checked graph: ``pose`` (poses, D) in, ``visibility`` (poses, V, n²) out."""
     graph = GraphBuilder()
     order = np.argsort(model.latents, kind="stable")
-    regressor = model.regressor
     value = feature_nodes(graph, model.features, model.pose_size)
-    first = regressor.weight if regressor.hidden_weight is None else regressor.hidden_weight
-    value = first_layer_nodes(graph, model, value, first.astype(np.float64), order)
-    weight, bias = regressor.weight, regressor.bias
-    if regressor.hidden_weight is not None and regressor.hidden_bias is not None:
-        shift = regressor.hidden_bias[order][:, None]
-        value = graph.node("Tanh", graph.node("Add", value, graph.constant(shift)))
-    else:  # the latents are there already
-        weight = np.broadcast_to(np.eye(weight.shape[2]), (len(order), *2 * weight.shape[2:]))
-    reconstruction_nodes(graph, model, value, weight, bias, order)
+    value, weight = regressor_nodes(graph, model, value, order)
+    reconstruction_nodes(graph, model, value, weight, model.regressor.bias, order)
     shape = [model.receiver_count, model.order**2]
     return graph.model(model.pose_size, shape, {"prtnet": "visibility", "kind": model.kind})
 

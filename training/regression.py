@@ -79,14 +79,17 @@ def target_scale(targets: Tensor) -> Tensor:
     return torch.where(variance > 0, variance, 1.0).sqrt()[:, None, None]
 
 
-def ridge(x: Tensor, targets: Tensor, alpha: float) -> Tensor:
+def ridge(x: Tensor, targets: Tensor, alpha: float, prior: Tensor | None = None) -> Tensor:
     """Weights and, in the last row, the bias: (C, K + 1, L) for x (C, P, K), targets (C, P, L).
 
-    Minimises mean_i ‖x W + b − t‖² + α ‖W‖². The normal equations are solved in float64, with as
-    much added to their diagonal as the rounding of their entries asks for.
+    Minimises mean_i ‖x W + b − t‖² + α ‖W‖² + tr Wᵀ S W, S (C, K, K) the ``prior``. The normal
+    equations are solved in float64, with as much added to their diagonal as the rounding of their
+    entries asks for.
     """
     full = with_ones(x)
     gram = full.mT @ full / x.shape[1]
+    if prior is not None:
+        gram = gram + torch.nn.functional.pad(prior, (0, 1, 0, 1))
     diagonal = torch.full_like(gram[:, 0], alpha)
     diagonal[:, -1] = 0.0
     mean_diagonal = gram.diagonal(dim1=-2, dim2=-1).mean(-1, keepdim=True)
@@ -100,12 +103,14 @@ def ridge(x: Tensor, targets: Tensor, alpha: float) -> Tensor:
     return torch.cholesky_solve(right, factor).to(x.dtype)
 
 
-def fit_linear(inputs: Tensor, targets: Tensor, alpha: float) -> Fit:
-    """Ridge regression of targets (C, P, L) on inputs (C, P, K)."""
+def fit_linear(inputs: Tensor, targets: Tensor, alpha: float, prior: Tensor | None = None) -> Fit:
+    """Ridge regression of targets (C, P, L) on inputs (C, P, K); ``prior`` as in :func:`ridge`."""
     scale = target_scale(targets)
-    solution = ridge(inputs, targets / scale, alpha)
+    solution = ridge(inputs, targets / scale, alpha, prior)
     residual = with_ones(inputs) @ solution - targets / scale
     loss = residual.square().sum(-1).mean(-1) + alpha * solution[:, :-1].square().sum((1, 2))
+    if prior is not None:
+        loss = loss + (solution[:, :-1] * (prior @ solution[:, :-1])).sum((1, 2))
     weight, bias = solution[:, :-1] * scale, solution[:, -1] * scale[:, 0]
     done = torch.zeros(len(inputs), dtype=torch.long)
     return Fit(weight, bias, None, None, loss, done, ["closed form"] * len(inputs))

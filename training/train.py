@@ -13,17 +13,19 @@ from torch import Tensor
 
 from prtnet import __version__
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.dataset import Dataset
+from prtnet.dataset import SAMPLED, Dataset
 from prtnet.errors import PrtnetError
 from prtnet.features import Features
 from prtnet.metrics import ErrorSum
 from prtnet.model import FORMAT_VERSION, Regressor, VisibilityModel
 from training.clusters import balanced_clusters, cluster_coordinates
 from training.config import TrainConfig
-from training.inputs import fit_joint_angles, fit_occluders, interior_edges
+from training.inputs import fit_joint_angles, fit_local_joints, fit_occluders, interior_edges
+from training.quadratic import Products
 from training.reduction import input_reduction, reduce_output
 from training.regression import Fit, average, fit_linear, fit_neural
 from training.selection import Fold, choose_alpha, folds_over_clips
+from training.smoothness import change_covariance, consecutive
 
 __all__ = ["Monitor", "Silent", "train"]
 
@@ -65,10 +67,19 @@ class Silent:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Reduced inputs (C, P, K) and targets (C, P, L) as tensors."""
+    """What the regressors are fitted to, as tensors.
+
+    Attributes:
+        inputs: reduced inputs, for a quadratic model with their products, (C, P, K).
+        targets: (C, P, L).
+        products: how the products were made; only for a quadratic model.
+        prior: quadratic form of the weights of linear and quadratic models, (C, K, K), if any.
+    """
 
     inputs: Tensor
     targets: Tensor
+    products: Products | None = None
+    prior: Tensor | None = None
 
 
 def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None) -> VisibilityModel:
@@ -101,6 +112,7 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     inputs = (np.swapaxes(values, 0, 1) - mean[:, None]) @ basis
     inputs = np.broadcast_to(inputs, (len(slots), *inputs.shape[1:]))
     data = to_device(inputs, output.targets, config.device)
+    data = with_products_and_prior(data, dataset, rows, config)
 
     folds = folds_over_clips(dataset.read("sources", rows).astype(bool))
     alpha, trials = select(data, config, folds, watch)
@@ -116,7 +128,7 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
         features=features,
         input_mean=mean,
         input_basis=basis,
-        regressor=to_regressor(result),
+        regressor=to_regressor(result, data.products),
         latents=output.latents.astype(np.int32),
         receivers=slots,
         mean=output.mean,
@@ -137,14 +149,18 @@ def fit_features(
 ) -> Features:
     """The configured features, fitted to the dataset's scene."""
     if dataset.joint_weights is None or dataset.joint_parents is None:
-        if config.features == "occluders":
+        if config.features in ("occluders", "local_joints"):
             raise PrtnetError(
-                "--features", "occluders are spheres that ride on joints, and a point cache has "
-                "none; use joint_angles"
+                "--features", f"{config.features} are made of joints, and a point cache has none; "
+                "use joint_angles"
             )  # fmt: skip
         return interior_edges(dataset.faces, dataset.receiver_of_vertex)
     if config.features == "joint_angles":
         return fit_joint_angles(poses, dataset.joint_parents)
+    if config.features == "local_joints":
+        return fit_local_joints(
+            slots, dataset.rest_positions, dataset.joint_weights, dataset.rest_pose
+        )
     return fit_occluders(
         poses, slots, dataset.rest_positions, dataset.rest_normals, dataset.joint_weights,
         dataset.rest_pose, points=config.points, near=config.near, spheres=config.spheres,
@@ -156,12 +172,27 @@ def to_device(inputs: FloatArray, targets: FloatArray, device: str) -> Prepared:
     """Tensors on the device, float32: the closed forms keep their accuracy (see the tests)."""
     try:
         where = torch.device(device)
-        return Prepared(
-            *(torch.tensor(a, dtype=torch.float32, device=where) for a in (inputs, targets))
-        )
+        x, t = (torch.tensor(a, dtype=torch.float32, device=where) for a in (inputs, targets))
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise PrtnetError("--device", f"'{device}' cannot be used ({reason}); use cpu") from error
+    return Prepared(x, t)
+
+
+def with_products_and_prior(
+    data: Prepared, dataset: Dataset, rows: IntArray, config: TrainConfig
+) -> Prepared:
+    """What quadratic models and the prior of smoothness add."""
+    if config.kind == "quadratic":
+        products = Products(data.inputs, config.leading)
+        data = dataclasses.replace(data, inputs=products(data.inputs), products=products)
+    if config.kind in ("linear", "quadratic") and config.smoothness > 0:
+        names = dataset.clip_names
+        sampled = names.index(SAMPLED) if SAMPLED in names else None
+        steps = consecutive(dataset.read("clip", rows), dataset.read("time", rows), sampled)
+        prior = config.smoothness * change_covariance(data.inputs, steps)
+        data = dataclasses.replace(data, prior=prior)
+    return data
 
 
 def select(
@@ -175,8 +206,8 @@ def select(
     watch.stage(f"cross-validation over clips, {len(folds)} folds")
 
     def trial(inputs: Tensor, targets: Tensor, alpha: float) -> Fit:
-        if config.kind == "linear":
-            return fit_linear(inputs, targets, alpha)
+        if config.kind != "neural":
+            return fit_linear(inputs, targets, alpha, data.prior)
         return fit_neural(inputs, targets, config.neurons, alpha, TRIAL_ITERATIONS, config.seed)
 
     def show(alpha: float, error: float) -> None:
@@ -188,7 +219,7 @@ def select(
 def fit(data: Prepared, config: TrainConfig, alpha: float, watch: Monitor) -> list[Fit]:
     """The final fits: one, or several networks from different starts."""
     if config.kind != "neural" or data.targets.shape[2] == 0:
-        return [fit_linear(data.inputs, data.targets, alpha)]
+        return [fit_linear(data.inputs, data.targets, alpha, data.prior)]
     fits = []
     for network in range(config.networks):
 
@@ -208,16 +239,18 @@ def fit(data: Prepared, config: TrainConfig, alpha: float, watch: Monitor) -> li
     return fits
 
 
-def to_regressor(fitted: Fit) -> Regressor:
+def to_regressor(fitted: Fit, products: Products | None) -> Regressor:
     """As float32 NumPy arrays."""
 
     def array(tensor: Tensor | None) -> FloatArray | None:
         return None if tensor is None else tensor.cpu().numpy().astype(np.float32)
 
-    weight, bias = array(fitted.weight), array(fitted.bias)
+    pairs = None if products is None else products.pairs
+    weight = array(fitted.weight if products is None else products.unscaled(fitted.weight))
+    bias = array(fitted.bias)
     assert weight is not None
     assert bias is not None
-    return Regressor(weight, bias, array(fitted.hidden_weight), array(fitted.hidden_bias))
+    return Regressor(weight, bias, array(fitted.hidden_weight), array(fitted.hidden_bias), pairs)
 
 
 def describe(

@@ -19,6 +19,9 @@ def slow(model, pose):
     regressor = model.regressor
     for cluster, slots in enumerate(model.receivers):
         value = inputs[cluster]
+        if regressor.pairs is not None:
+            products = [value[i] * value[j] for i, j in regressor.pairs.T]
+            value = np.concatenate([value, products])
         if regressor.hidden_weight is not None:
             value = np.tanh(
                 value @ regressor.hidden_weight[cluster] + regressor.hidden_bias[cluster]
@@ -34,8 +37,10 @@ def slow(model, pose):
     return result
 
 
-@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
-@pytest.mark.parametrize("features", ["joint_angles", "dihedral_angles", "occluders"])
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
+@pytest.mark.parametrize(
+    "features", ["joint_angles", "dihedral_angles", "local_joints", "occluders"]
+)
 def test_equals_the_definition(kind, features):
     model = random_model(kind, features)
     poses = random_poses(3, 5)
@@ -55,7 +60,7 @@ def test_encode_inverts_decode_for_orthonormal_components():
     assert np.allclose(model.encode(model.decode(latent)), latent[..., :most], atol=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
 def test_file_round_trip(kind, tmp_path):
     model = random_model(kind)
     model.save(tmp_path / "m.safetensors")

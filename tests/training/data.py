@@ -35,6 +35,7 @@ def memory_dataset(poses=None, visibility=None, clips=3, per_clip=8, joints=4, s
         "visibility": visibility.astype(np.float32),
         "sources": np.eye(clips, dtype=bool)[label],
         "clip": label,
+        "time": np.arange(count) * 0.1,
     }
     held = [names[-1]] if clips > 1 else []
     training = np.flatnonzero(label < clips - 1) if clips > 1 else np.arange(count)

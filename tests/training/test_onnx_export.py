@@ -20,8 +20,10 @@ def run(model, poses):
     return session.run(None, {"pose": poses})[0]
 
 
-@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
-@pytest.mark.parametrize("features", ["joint_angles", "dihedral_angles", "occluders"])
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
+@pytest.mark.parametrize(
+    "features", ["joint_angles", "dihedral_angles", "local_joints", "occluders"]
+)
 @pytest.mark.parametrize("morphs", [0, 2])
 def test_graph_equals_the_numpy_reference(kind, features, morphs):
     if features == "dihedral_angles" and morphs:
