@@ -23,6 +23,9 @@ class TrainConfig:
     each cluster, joints or occluders; when not given, occluders for skinned scenes."""
     clusters: int = 64
     """Clusters of receivers, equally large."""
+    clustering: Literal["position", "weights", "rigid", "signal"] = "position"
+    """What they are made of: position and skin weights; segments of like skin weights; segments
+    that turn alike; or receivers whose visibility varies alike."""
     neurons: int = 32
     """Neurons in each cluster's hidden layer."""
     leading: int = 12

@@ -18,7 +18,7 @@ from prtnet.errors import PrtnetError
 from prtnet.features import Features
 from prtnet.metrics import ErrorSum
 from prtnet.model import FORMAT_VERSION, Regressor, VisibilityModel
-from training.clusters import balanced_clusters, cluster_coordinates
+from training.clustering import cluster_receivers
 from training.config import TrainConfig
 from training.inputs import fit_joint_angles, fit_local_joints, fit_occluders, interior_edges
 from training.quadratic import Products
@@ -99,8 +99,7 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
         raise PrtnetError(dataset.path, "holds values that are not finite; generate it again")
 
     watch.stage("clusters and components")
-    coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
-    slots = balanced_clusters(coordinates, config.clusters, config.seed)
+    slots = cluster_receivers(dataset, rows, visibility, config)
     latents = 0.0 if config.kind == "constant" else config.latents
     output = reduce_output(visibility, slots, config.output_variance, latents)
     del visibility
