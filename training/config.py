@@ -26,6 +26,10 @@ class TrainConfig:
     clustering: Literal["position", "weights", "rigid", "signal"] = "position"
     """What they are made of: position and skin weights; segments of like skin weights; segments
     that turn alike; or receivers whose visibility varies alike."""
+    frame: Literal["local", "global"] = "local"
+    """Frame of the output; models in the global one can only be evaluated on their dataset."""
+    target: Literal["visibility", "cosine"] = "visibility"
+    """What is fitted; models of cosine-weighted visibility can only be evaluated likewise."""
     neurons: int = 32
     """Neurons in each cluster's hidden layer."""
     leading: int = 12

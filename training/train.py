@@ -18,6 +18,7 @@ from prtnet.errors import PrtnetError
 from prtnet.features import Features
 from prtnet.metrics import ErrorSum
 from prtnet.model import FORMAT_VERSION, Regressor, VisibilityModel
+from prtnet.output_space import OutputSpace
 from training.clustering import cluster_receivers
 from training.config import TrainConfig
 from training.inputs import fit_joint_angles, fit_local_joints, fit_occluders, interior_edges
@@ -94,7 +95,8 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     rows = dataset.training_poses()
     if len(rows) == 0:
         raise PrtnetError(dataset.path, "holds no training poses; hold out fewer clips")
-    visibility, poses = dataset.read("visibility", rows), dataset.read("pose", rows)
+    space = OutputSpace(config.frame, config.target)
+    visibility, poses = space.read(dataset, rows), dataset.read("pose", rows)
     if not (np.isfinite(visibility).all() and np.isfinite(poses).all()):
         raise PrtnetError(dataset.path, "holds values that are not finite; generate it again")
 
@@ -289,10 +291,11 @@ def report_errors(model: VisibilityModel, dataset: Dataset, watch: Monitor) -> N
         if len(rows) == 0:
             continue
         watch.stage(f"{name.replace('_', '-')} error")
+        space = OutputSpace.of(model.metadata)
         total = ErrorSum()
         for start in range(0, len(rows), 16):
             block = rows[start : start + 16]
-            total.add(model(dataset.read("pose", block)), dataset.read("visibility", block))
+            total.add(model(dataset.read("pose", block)), space.read(dataset, block))
         summary = total.summary()
         model.metadata[f"{name}_error"] = summary
         watch.scalar(f"error/{name}", summary["rms"], 0)
