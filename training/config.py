@@ -30,8 +30,8 @@ class TrainConfig:
     """Frame of the output; models in the global one can only be evaluated on their dataset."""
     target: Literal["visibility", "cosine"] = "visibility"
     """What is fitted; models of cosine-weighted visibility can only be evaluated likewise."""
-    neurons: int = 32
-    """Neurons in each cluster's hidden layer."""
+    neurons: int | Literal["auto"] = 32
+    """Neurons in each cluster's hidden layer; auto cross-validates 8, 16, 32 and 64, with α."""
     leading: int = 12
     """So many leading inputs are multiplied with each other in a quadratic model."""
     smoothness: float = 0.0
@@ -69,7 +69,8 @@ class TrainConfig:
         least |= {"spheres": 1, "points": 1, "near": 1, "feature_order": 1, "latents": 0}
         least |= {"leading": 1}
         for name, bound in least.items():
-            if not getattr(self, name) >= bound:  # so that NaN fails
+            value = getattr(self, name)
+            if value != "auto" and not value >= bound:  # so that NaN fails
                 raise PrtnetError(f"--{name.replace('_', '-')}", f"must be at least {bound}")
         if self.feature_order > Occluders.MOST_ORDER:
             raise PrtnetError("--feature-order", f"must be at most {Occluders.MOST_ORDER}")

@@ -25,12 +25,13 @@ from training.inputs import fit_joint_angles, fit_local_joints, fit_occluders, i
 from training.quadratic import Products
 from training.reduction import input_reduction, reduce_output
 from training.regression import Fit, average, fit_linear, fit_neural
-from training.selection import Fold, choose_alpha, folds_over_clips
+from training.selection import ALPHAS, Fold, choose_alpha, choose_neurons, folds_over_clips
 from training.smoothness import change_covariance, consecutive
 
 __all__ = ["Monitor", "Silent", "train"]
 
 DEFAULT_ALPHA = 3e-3  # where there is only one clip and nothing to cross-validate with
+DEFAULT_NEURONS = 16  # likewise, where the number is to be chosen
 TRIAL_ITERATIONS = 60  # cross-validation compares, it need not converge
 
 
@@ -116,10 +117,10 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     data = with_products_and_prior(data, dataset, rows, config)
 
     folds = folds_over_clips(dataset.read("sources", rows).astype(bool))
-    alpha, trials = select(data, config, folds, watch)
+    neurons, alpha, trials = select(data, config, folds, watch)
     watch.stage(f"{config.kind} fit, α = {alpha:g}")
     fit_started = time.perf_counter()
-    fits = fit(data, config, alpha, watch)
+    fits = fit(data, config, neurons, alpha, watch)
     fit_seconds = time.perf_counter() - fit_started
     result = average(fits)
 
@@ -198,26 +199,42 @@ def with_products_and_prior(
 
 def select(
     data: Prepared, config: TrainConfig, folds: list[Fold], watch: Monitor
-) -> tuple[float, dict[float, float]]:
-    """α as configured, or by cross-validation over clips."""
-    if config.alpha is not None:
-        return config.alpha, {}
+) -> tuple[int, float, dict[str, float]]:
+    """Neurons and α as configured, or by cross-validation over clips; the errors of all tried."""
+    neural = config.kind == "neural"
+    neurons = DEFAULT_NEURONS if config.neurons == "auto" else config.neurons
+    sized = config.neurons != "auto" or not neural
+    if sized and config.alpha is not None:
+        return neurons, config.alpha, {}
     if config.kind == "constant" or len(folds) < 2 or data.targets.shape[2] == 0:
-        return DEFAULT_ALPHA, {}
+        return neurons, DEFAULT_ALPHA if config.alpha is None else config.alpha, {}
     watch.stage(f"cross-validation over clips, {len(folds)} folds")
 
+    def network(inputs: Tensor, targets: Tensor, neurons: int, alpha: float) -> Fit:
+        return fit_neural(inputs, targets, neurons, alpha, TRIAL_ITERATIONS, config.seed)
+
     def trial(inputs: Tensor, targets: Tensor, alpha: float) -> Fit:
-        if config.kind != "neural":
+        if not neural:
             return fit_linear(inputs, targets, alpha, data.prior)
-        return fit_neural(inputs, targets, config.neurons, alpha, TRIAL_ITERATIONS, config.seed)
+        return network(inputs, targets, neurons, alpha)
 
     def show(alpha: float, error: float) -> None:
         watch.scalar("cross_validation/error", error, round(alpha * 1e6))
 
-    return choose_alpha(trial, data.inputs, data.targets, folds, on_candidate=show)
+    if sized:
+        alpha, errors = choose_alpha(trial, data.inputs, data.targets, folds, on_candidate=show)
+        return neurons, alpha, {f"{a:g}": e for a, e in errors.items()}
+    alphas = ALPHAS if config.alpha is None else (config.alpha,)
+    start = neurons, DEFAULT_ALPHA if config.alpha is None else config.alpha
+    neurons, alpha, pairs = choose_neurons(
+        network, data.inputs, data.targets, folds, alphas, start=start, on_candidate=show
+    )
+    return neurons, alpha, {f"{n} neurons, {a:g}": e for (n, a), e in pairs.items()}
 
 
-def fit(data: Prepared, config: TrainConfig, alpha: float, watch: Monitor) -> list[Fit]:
+def fit(
+    data: Prepared, config: TrainConfig, neurons: int, alpha: float, watch: Monitor
+) -> list[Fit]:
     """The final fits: one, or several networks from different starts."""
     if config.kind != "neural" or data.targets.shape[2] == 0:
         return [fit_linear(data.inputs, data.targets, alpha, data.prior)]
@@ -233,8 +250,8 @@ def fit(data: Prepared, config: TrainConfig, alpha: float, watch: Monitor) -> li
                 watch.histogram(f"fit/objective_{network}", values.cpu().numpy(), iteration)
 
         seed = config.seed + network
-        size, limit = config.neurons, config.iterations
-        fitted = fit_neural(data.inputs, data.targets, size, alpha, limit, seed, on_iteration)
+        limit = config.iterations
+        fitted = fit_neural(data.inputs, data.targets, neurons, alpha, limit, seed, on_iteration)
         fits.append(fitted)
         watch.histogram("fit/iterations", fitted.iterations.numpy(), network)
     return fits
@@ -256,7 +273,7 @@ def to_regressor(fitted: Fit, products: Products | None) -> Regressor:
 
 def describe(
     dataset: Dataset, config: TrainConfig, features: Features, alpha: float,
-    trials: dict[float, float], fits: list[Fit],
+    trials: dict[str, float], fits: list[Fit],
 ) -> dict[str, Any]:  # fmt: skip
     """What the model file says about itself."""
     status = [text for fitted in fits for text in fitted.status]
@@ -268,7 +285,7 @@ def describe(
         "format_version": FORMAT_VERSION,
         "config": dataclasses.asdict(config),
         "alpha": alpha,
-        "cross_validation": {f"{a:g}": e for a, e in trials.items()},
+        "cross_validation": trials,
         "fit_status": {text: status.count(text) for text in sorted(set(status))},
         "dropped_joints": [names[joint] for joint in still],
         "pose_size": int(dataset.pose_size),

@@ -52,6 +52,21 @@ def test_networks_are_averaged_into_one():
     assert model.regressor.hidden_bias.shape == (4, 18)
 
 
+def test_the_number_of_neurons_can_be_left_open():
+    data = memory_dataset()
+    config = dataclasses.replace(SMALL, features="joint_angles", neurons="auto", iterations=10)
+    model = train(data, config)
+    assert model.regressor.weight.shape[1] in (8, 16, 32, 64)
+    tried = model.metadata["cross_validation"]
+    assert f"{model.regressor.weight.shape[1]} neurons, {model.metadata['alpha']:g}" in tried
+    assert min(tried.values()) == min(
+        e for name, e in tried.items() if name.startswith(f"{model.regressor.weight.shape[1]} ")
+    )
+    fixed = train(data, dataclasses.replace(config, alpha=0.02))
+    assert fixed.metadata["alpha"] == 0.02
+    assert {name.partition(", ")[2] for name in fixed.metadata["cross_validation"]} == {"0.02"}
+
+
 def test_constant_kind_predicts_the_training_mean():
     data = memory_dataset()
     model = train(data, dataclasses.replace(SMALL, kind="constant"))
