@@ -44,7 +44,7 @@ class FewerPoses(Dataset):
     """A dataset of which only some poses are used."""
 
     def training_poses(self) -> IntArray:
-        return super().training_poses()[::EVERY]
+        return np.setdiff1d(np.arange(len(self)), super().held_out_poses())[::EVERY]
 
     def held_out_poses(self) -> IntArray:
         return super().held_out_poses()[:: EVERY // 2]
