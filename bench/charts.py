@@ -9,6 +9,7 @@ from xml.sax.saxutils import escape
 
 COLOURS = ("#2563a8", "#d1495b", "#3a8a5f", "#e09f3e", "#6b5b95", "#555555")
 WIDTH, HEIGHT = 560, 320
+GROUP = 76  # of bars, at least so wide
 LEFT, RIGHT, TOP, BOTTOM = 60, 160, 34, 48
 
 
@@ -28,8 +29,10 @@ def text(x: float, y: float, words: str, anchor: str = "middle", extra: str = ""
 class Chart:
     """Axes with a title; y from zero, or from its own least value."""
 
-    def __init__(self, title: str, y_label: str, y_ticks: Sequence[float]) -> None:
-        self.low, self.high = y_ticks[0], y_ticks[-1]
+    def __init__(
+        self, title: str, y_label: str, y_ticks: Sequence[float], width: int = WIDTH
+    ) -> None:
+        self.low, self.high, self.width = y_ticks[0], y_ticks[-1], width
         self.parts = [
             text(LEFT, 20, title, "start", 'font-weight="bold"'),
             text(14, (TOP + HEIGHT - BOTTOM) / 2, y_label, "middle",
@@ -38,7 +41,7 @@ class Chart:
         for tick in y_ticks:
             y = self.y(tick)
             self.parts.append(
-                f'<path d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}" stroke="#ddd" fill="none"/>'
+                f'<path d="M{LEFT} {y:.1f}H{width - RIGHT}" stroke="#ddd" fill="none"/>'
             )
             self.parts.append(text(LEFT - 6, y + 4, f"{tick:g}", "end"))
         self.named = 0
@@ -51,7 +54,7 @@ class Chart:
     def legend(self, name: str, dashed: bool = False) -> str:
         """The colour of the next name."""
         colour = COLOURS[self.named % len(COLOURS)]
-        x, y = WIDTH - RIGHT + 14, TOP + 8 + 18 * self.named
+        x, y = self.width - RIGHT + 14, TOP + 8 + 18 * self.named
         dash = ' stroke-dasharray="2 4"' if dashed else ""
         self.parts.append(f'<path d="M{x} {y}h18" stroke="{colour}" stroke-width="3"{dash}/>')
         self.parts.append(text(x + 24, y + 4, name, "start"))
@@ -59,12 +62,12 @@ class Chart:
         return colour
 
     def save(self, path: Path, x_label: str) -> None:
-        self.parts.append(text((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 10, x_label))
+        self.parts.append(text((LEFT + self.width - RIGHT) / 2, HEIGHT - 10, x_label))
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" '
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {self.width} {HEIGHT}" '
             f'font-family="sans-serif" font-size="12">\n'
-            f'<rect width="{WIDTH}" height="{HEIGHT}" fill="white"/>\n'
+            f'<rect width="{self.width}" height="{HEIGHT}" fill="white"/>\n'
             + "\n".join(self.parts)
             + "\n</svg>\n",
             encoding="utf-8",
@@ -117,17 +120,23 @@ def bars(
     series: Mapping[str, Sequence[float]],
     spread: Mapping[str, Sequence[float]] | None = None,
 ) -> None:
-    """Groups of bars from zero, with whiskers of ± ``spread`` where it is given."""
+    """Groups of bars from zero, with whiskers of ± ``spread`` where it is given.
+
+    Names of groups have up to three lines.
+    """
     most = max(
         v + (spread[name][k] if spread else 0.0)
         for name, row in series.items()
         for k, v in enumerate(row)
     )
-    chart = Chart(title, y_label, nice_ticks(0.0, most))
-    room = (WIDTH - LEFT - RIGHT) / len(groups)
+    width = max(WIDTH, LEFT + RIGHT + GROUP * len(groups))
+    chart = Chart(title, y_label, nice_ticks(0.0, most), width)
+    room = (width - LEFT - RIGHT) / len(groups)
     thick = 0.8 * room / len(series)
     for k, name in enumerate(groups):
-        chart.parts.append(text(LEFT + (k + 0.5) * room, HEIGHT - BOTTOM + 18, name))
+        for row, line in enumerate(name.split("\n")):
+            y = HEIGHT - BOTTOM + 14 + 13 * row
+            chart.parts.append(text(LEFT + (k + 0.5) * room, y, line, extra='font-size="11"'))
     for number, (name, row) in enumerate(series.items()):
         colour = chart.legend(name)
         for k, value in enumerate(row):

@@ -36,7 +36,7 @@ KINDS = ("linear", "quadratic", "neural")
 FEATURES = {"joint angles": "joint_angles", "local joints": "local_joints",
             "occluders": "occluders"}  # fmt: skip
 SMOOTH = 0.1  # of the linear model with the prior
-EVERY = 4  # pose of the human's training clips, EVERY / 2 of the held-out one
+EVERY = 6  # pose of the human's training clips, and EVERY / 2 of the held-out one, is used
 WRITE = "--write" in sys.argv
 
 
@@ -105,7 +105,8 @@ def hundred(values: list[float]) -> list[float]:
 
 
 def table(name: str, columns: tuple[str, ...], rows: list[list[str]], note: str = "") -> None:
-    publish(name, columns, rows, note, PAGE)
+    """A table of the page, and its figure under it."""
+    publish(name, columns, rows, note, PAGE, f"![{name}](figures/{name}.svg)")
 
 
 def clusters() -> None:
@@ -205,16 +206,15 @@ def kinds() -> None:
                 training.append(float(model.metadata["training_error"]["rms"]))
                 series[kind].append(100 * errors[-1])
             marks = yardsticks(name, model)
-            groups.append(f"{name[0]}: {words}")
+            groups.append(f"{name},\n{words}")
             cells = [f"{per_cent(e)[:-2]} ({per_cent(t)[:-2]})"
                      for e, t in zip(errors, training, strict=True)]  # fmt: skip
             rows.append([f"{name}, {words}", per_cent(marks["signal"]),
                          per_cent(marks["nearest"]), *cells])  # fmt: skip
     table("kinds", ("scene, features", "signal", "nearest", *series), rows,
           "Per cent on held-out clips; in brackets on the training poses.")  # fmt: skip
-    short = [g.replace("joint angles", "angles").replace("local joints", "joints") for g in groups]
-    draw(charts.bars, "kinds", "Kinds of models on novel poses (robot, human)",
-         "held-out error, %", short, series)  # fmt: skip
+    draw(charts.bars, "kinds", "Kinds of models on novel poses", "held-out error, %",
+         groups, series)  # fmt: skip
 
 
 def compare(table_name: str, field: str, values: tuple[str, str], words: tuple[str, str]) -> None:
@@ -233,7 +233,7 @@ def compare(table_name: str, field: str, values: tuple[str, str], words: tuple[s
                     series[word].append(100 * cells[-1])
                 label = f"{name}, {features.replace('_', ' ')}, {kind}"
                 rows.append([label, *map(per_cent, (*signals, *cells))])
-                groups.append(f"{name[0]} {features[0]} {kind[0]}")
+                groups.append(f"{name},\n{features.replace('_', ' ')},\n{kind}")
     columns = ("model", *(f"signal, {w}" for w in words), *words)
     table(table_name, columns, rows)
     draw(charts.bars, table_name, f"{words[0]} and {words[1]}", "held-out error, %", groups, series)
@@ -283,7 +283,7 @@ def convolved() -> None:
                 series[word].append(100 * float(each.mean()))
                 spread[word].append(100 * float(each.std()))
             rows.append([f"{name}, {features.replace('_', ' ')}", *cells])
-            groups.append(f"{name}, {features.partition('_')[0]}")
+            groups.append(f"{name},\n{features.replace('_', ' ')}")
     note = "Relative error of each held-out pose in per cent, mean ± standard deviation."
     table("convolved", ("linear model", *series), rows, note)
     draw(charts.bars, "convolved", "Linear models: the cosine fitted, or put back",

@@ -83,9 +83,11 @@ def publish(
     rows: Sequence[Sequence[object]],
     note: str = "",
     page: Path = PAGE,
+    figure: str = "",
 ) -> None:
     """Print a table; with ``--write`` on the command line also put it into a page of the docs."""
-    text = f"{markdown(columns, rows)}\n\n{note + ' ' if note else ''}({machine()})"
+    parts = [markdown(columns, rows), figure, f"{note} ({machine()})".strip()]
+    text = "\n\n".join(part for part in parts if part)
     print(text)
     if "--write" not in sys.argv:
         return
