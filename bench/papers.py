@@ -36,7 +36,7 @@ KINDS = ("linear", "quadratic", "neural")
 FEATURES = {"joint angles": "joint_angles", "local joints": "local_joints",
             "occluders": "occluders"}  # fmt: skip
 SMOOTH = 0.1  # of the linear model with the prior
-EVERY = 6  # pose of the human's training clips, and EVERY / 2 of the held-out one, is used
+EVERY = 4  # pose of the human's training clips, and EVERY / 2 of the held-out one, is used
 WRITE = "--write" in sys.argv
 
 
