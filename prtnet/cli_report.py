@@ -91,7 +91,6 @@ def measured(
     threads: int,
 ) -> tuple[dict[str, Any], VisibilityModel]:
     """Fit one model and judge it by the clips: its figures, and the model."""
-
     from prtnet.evaluation import dataset_truth, evaluate
     from runtime.onnx_model import OnnxModel
     from training.onnx_export import build_onnx

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from prtnet.prior import MapPrior, NetworkPrior, Prior
@@ -30,6 +32,6 @@ def random_prior(
     widths = [len(low) + 4, 8, 8, order**2]
     return NetworkPrior(
         sees, low, high, normal(receivers, 4),
-        tuple(normal(a, b) for a, b in zip(widths, widths[1:], strict=False)),
+        tuple(normal(a, b) for a, b in itertools.pairwise(widths)),
         tuple(normal(b) for b in widths[1:]),
     )  # fmt: skip

@@ -7,7 +7,7 @@ from types import TracebackType
 
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
-from training.train import Monitor
+from training.monitor import Monitor
 
 __all__ = ["TensorBoard"]
 

@@ -3,14 +3,17 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import onnxruntime
 import pytest
 
 from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
 from tests.training.data import memory_dataset
 from training.config import PRESETS, TrainConfig
+from training.monitor import Silent
+from training.onnx_export import build_onnx
 from training.tensorboard import TensorBoard
-from training.train import Silent, train
+from training.train import train
 
 SMALL = TrainConfig(
     clusters=4, neurons=6, latents=4, spheres=12, points=2, near=6, iterations=40, seed=3
@@ -52,10 +55,12 @@ def test_networks_are_averaged_into_one():
     assert model.regressor.hidden_bias.shape == (4, 18)
 
 
-@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
 def test_parts_and_storage_from_configuration_to_file(kind, tmp_path):
     data = memory_dataset()
-    config = dataclasses.replace(SMALL, kind=kind, parts=3, step=1, latents=6, storage="int8")
+    config = dataclasses.replace(
+        SMALL, kind=kind, parts=3, step=1, latents=6, storage="int8", alpha=3e-3
+    )
     model = train(data, config)
     assert (model.parts, model.storage) == (3, "int8")
     assert model.receivers.shape == (12, 5)
@@ -68,6 +73,44 @@ def test_parts_and_storage_from_configuration_to_file(kind, tmp_path):
     assert model.metadata["training_error"]["rms"] == pytest.approx(error, rel=1e-5)
     if kind == "neural":
         assert error < 0.7 * np.linalg.norm(truth - truth.mean(axis=0)) / np.linalg.norm(truth)
+
+
+@pytest.mark.parametrize("clustering", ["weights", "signal"])
+@pytest.mark.parametrize("features", ["joint_angles", "local_joints"])
+def test_options_of_all_sorts_together(clustering, features):
+    """Squares, smoothness, clusterings, groups and 8 bits in one model and its graph."""
+    data = memory_dataset()
+    config = dataclasses.replace(
+        SMALL, kind="quadratic", features=features, smoothness=0.1, clustering=clustering,
+        parts=3, step=1, latents=6, storage="int8", alpha=1e-3, leading=3,
+    )  # fmt: skip
+    model = train(data, config)
+    assert model.receivers.shape == (12, 5)
+    assert model.input_low is not None
+    rows = data.training_poses()
+    poses, truth = data.read("pose", rows), data.read("visibility", rows)
+    expected = model(poses)
+    assert ((expected - truth) ** 2).sum() < 0.9 * ((truth - truth.mean(axis=0)) ** 2).sum()
+    session = onnxruntime.InferenceSession(
+        build_onnx(model).SerializeToString(), providers=["CPUExecutionProvider"]
+    )
+    got = session.run(None, {"pose": poses})[0]
+    assert np.abs(got - expected).max() <= 1e-5 * np.abs(expected).max()
+
+
+def test_the_number_of_neurons_can_be_left_open():
+    data = memory_dataset()
+    config = dataclasses.replace(SMALL, features="joint_angles", neurons="auto", iterations=10)
+    model = train(data, config)
+    assert model.regressor.weight.shape[1] in (8, 16, 32, 64)
+    tried = model.metadata["cross_validation"]
+    assert f"{model.regressor.weight.shape[1]} neurons, {model.metadata['alpha']:g}" in tried
+    assert min(tried.values()) == min(
+        e for name, e in tried.items() if name.startswith(f"{model.regressor.weight.shape[1]} ")
+    )
+    fixed = train(data, dataclasses.replace(config, alpha=0.02))
+    assert fixed.metadata["alpha"] == 0.02
+    assert {name.partition(", ")[2] for name in fixed.metadata["cross_validation"]} == {"0.02"}
 
 
 def test_constant_kind_predicts_the_training_mean():
