@@ -21,8 +21,8 @@ lint: $(READY_DEV)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(READY_DEV)  ## every number of docs/benchmarks.md
-	@set -e; for script in $(filter-out bench/tables.py,$(sort $(wildcard bench/[a-z]*.py))); do \
+bench: $(READY_DEV)  ## every number of docs/benchmarks.md and docs/papers.md
+	@set -e; for script in $(filter-out bench/tables.py bench/charts.py,$(sort $(wildcard bench/[a-z]*.py))); do \
 		echo "== $$script"; $(BIN)/python "$$script"; done
 
 clean:

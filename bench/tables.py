@@ -79,19 +79,25 @@ def markdown(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def publish(
-    name: str, columns: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
+    name: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    note: str = "",
+    page: Path = PAGE,
+    figure: str = "",
 ) -> None:
-    """Print a table; with ``--write`` on the command line also put it into the docs."""
-    text = f"{markdown(columns, rows)}\n\n{note + ' ' if note else ''}({machine()})"
+    """Print a table; with ``--write`` on the command line also put it into a page of the docs."""
+    parts = [markdown(columns, rows), figure, f"{note} ({machine()})".strip()]
+    text = "\n\n".join(part for part in parts if part)
     print(text)
     if "--write" not in sys.argv:
         return
     begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
-    page = PAGE.read_text(encoding="utf-8")
-    if begin not in page or end not in page:
-        sys.exit(f"{PAGE} has no markers for '{name}'")
-    before, rest = page.split(begin)
-    PAGE.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
+    words = page.read_text(encoding="utf-8")
+    if begin not in words or end not in words:
+        sys.exit(f"{page} has no markers for '{name}'")
+    before, rest = words.split(begin)
+    page.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
 def per_cent(value: float | None) -> str:

@@ -284,6 +284,7 @@ def dataset_truth(options: EvaluateOptions, model: VisibilityModel) -> Truth:
     """The clips of a dataset."""
     from prtnet import evaluation
     from prtnet.dataset import SAMPLED, Dataset
+    from prtnet.output_space import OutputSpace
 
     dataset = Dataset.open(options.data)
     if options.dump is not None:
@@ -297,7 +298,7 @@ def dataset_truth(options: EvaluateOptions, model: VisibilityModel) -> Truth:
         evaluation.dataset_truth(model, dataset, clips),
         sum(len(dataset.poses_of(clip)) for clip in clips),
         dataset.read("pose", slice(1)),
-        evaluation.NearestPose(dataset),
+        evaluation.NearestPose(dataset, OutputSpace.of(model.metadata)),
     )
 
 

@@ -20,6 +20,7 @@ from prtnet.features import JointAngles
 from prtnet.metrics import CoherenceSum, ErrorSum, relative_rms
 from prtnet.model import VisibilityModel
 from prtnet.novelty import pose_novelty
+from prtnet.output_space import OutputSpace
 
 __all__ = ["NearestPose", "TruthBlock", "dataset_truth", "evaluate"]
 
@@ -32,7 +33,7 @@ class TruthBlock:
         clip: its name.
         held_out: whether training never saw the clip.
         poses: flattened, (B, D).
-        visibility: local frames, (B, V, n²).
+        visibility: in the space of the model's output, local frames as a rule, (B, V, n²).
         time: seconds in the clip, (B,); None where it is not known. Blocks of a clip follow each
             other in time.
     """
@@ -51,11 +52,12 @@ def dataset_truth(
 
     What is held out is the model's to say: its own dataset may have held out other clips.
     """
+    space = OutputSpace.of(model.metadata)
     for name in clips:
         rows = dataset.poses_of(name)
         for start in range(0, len(rows), block):
             own = rows[start : start + block]
-            poses, truth = dataset.read("pose", own), dataset.read("visibility", own)
+            poses, truth = dataset.read("pose", own), space.read(dataset, own)
             held_out = not model.saw(name)
             yield TruthBlock(name, held_out, poses, truth, dataset.read("time", own))
 
@@ -65,10 +67,14 @@ class NearestPose:
 
     Skinned poses are compared by their joints' local rotations, without the roots'; point caches
     by their vertices about their mean.
+
+    Args:
+        dataset: with the training poses.
+        space: that the answers are in.
     """
 
-    def __init__(self, dataset: Dataset) -> None:
-        self.dataset = dataset
+    def __init__(self, dataset: Dataset, space: OutputSpace | None = None) -> None:
+        self.dataset, self.space = dataset, space or OutputSpace()
         self.rows = dataset.training_poses()
         self.known = self.describe(dataset.read("pose", self.rows))
 
@@ -106,7 +112,7 @@ class NearestPose:
         """Visibility (P, V, n²)."""
         nearest = np.argmin(self.squared_distances(poses), axis=1)
         unique, inverse = np.unique(self.rows[nearest], return_inverse=True)
-        return self.dataset.read("visibility", unique)[inverse]
+        return self.space.read(self.dataset, unique)[inverse]
 
 
 SAME = 1e-4  # distances of single-precision poses that are equal, relative to their numbers

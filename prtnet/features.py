@@ -1,4 +1,4 @@
-"""What a regressor sees of a pose: joint or dihedral angles, or the occluders of each cluster.
+"""What a regressor sees of a pose: joint or dihedral angles, or what surrounds each cluster.
 
 These are the reference evaluations; the ONNX graph repeats them in portable operators.
 """
@@ -15,7 +15,14 @@ from prtnet import sh
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.occluders import Spheres, cap_integrals
 
-__all__ = ["DihedralAngles", "Features", "JointAngles", "Occluders", "features_from_arrays"]
+__all__ = [
+    "DihedralAngles",
+    "Features",
+    "JointAngles",
+    "LocalJoints",
+    "Occluders",
+    "features_from_arrays",
+]
 
 FULL_FOLD = 1e-2  # of 2 + 2 cos θ: beyond 174° a fold's angle is not resolved in single precision
 SMALLEST = 1e-12  # squared lengths below it are no direction
@@ -115,6 +122,54 @@ class DihedralAngles(Features):
     def arrays(self) -> dict[str, FloatArray | IntArray]:
         """See :class:`Features`."""
         return {"edge": self.edge}
+
+
+@dataclass(frozen=True, eq=False)
+class LocalJoints(Features):
+    """Where all joints are in the frame of each cluster's dominant joint, p → p / (|p| + reach).
+
+    It ignores global motion; what is far away changes little. The three components of all joints
+    follow each other, x first, then the morph weights, the same for every cluster. Joints may be
+    scaled, by one factor each.
+
+    Attributes:
+        cluster_joint: the dominant joint of each cluster, (C,).
+        reach: the distance at which a position counts half, in units of that joint, (C,).
+        joints: number of joints in a pose.
+    """
+
+    kind: ClassVar[str] = "local_joints"
+    cluster_joint: IntArray
+    reach: FloatArray
+    joints: int
+
+    def __call__(self, poses: FloatArray) -> FloatArray:
+        """See :class:`Features`."""
+        count = max(1, 1_000_000 // (3 * self.joints * len(self.cluster_joint)))
+        parts = [self._block(poses[i : i + count]) for i in range(0, len(poses), count)]
+        return np.concatenate(parts).astype(np.float32)
+
+    def _block(self, poses: FloatArray) -> FloatArray:
+        matrices = joint_matrices(poses.astype(np.float64), self.joints)
+        home, places = matrices[:, self.cluster_joint], matrices[..., 3]
+        linear = home[..., :3]
+        square = np.maximum(np.sum(linear * linear, axis=-2, keepdims=True), SMALLEST)
+        away = places[:, None] - home[:, :, None, :, 3]  # [P, C, J, 3]
+        local = away @ (linear / square)
+        distance = np.sqrt(np.maximum(np.sum(local * local, axis=-1, keepdims=True), SMALLEST))
+        seen = local / (distance + self.reach.astype(np.float64)[:, None, None])
+        seen = np.swapaxes(seen, -1, -2).reshape(len(poses), len(self.cluster_joint), -1)
+        morphs = poses[:, None, 12 * self.joints :]
+        shape = (*seen.shape[:2], morphs.shape[-1])
+        return np.concatenate([seen, np.broadcast_to(morphs, shape)], axis=-1)
+
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
+        """See :class:`Features`."""
+        return {
+            "cluster_joint": self.cluster_joint,
+            "reach": self.reach,
+            "joints": np.array([self.joints]),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,6 +273,8 @@ def features_from_arrays(kind: str, arrays: dict[str, Any]) -> Features:
     joints = int(arrays["joints"][0])
     if kind == JointAngles.kind:
         return JointAngles(arrays["joint"], arrays["parent"], joints)
+    if kind == LocalJoints.kind:
+        return LocalJoints(arrays["cluster_joint"], arrays["reach"], joints)
     if kind == Occluders.kind:
         spheres = Spheres(arrays["sphere_joint"], arrays["sphere_centre"], arrays["sphere_radius"])
         return Occluders(

@@ -40,33 +40,39 @@ from prtnet.time_range import is_seen
 __all__ = ["FORMAT_VERSION", "KINDS", "Regressor", "VisibilityModel"]
 
 FORMAT_VERSION = 1
-KINDS = ("constant", "linear", "neural", "hybrid", "shared")
+KINDS = ("constant", "linear", "quadratic", "neural", "hybrid", "shared")
 
 
 @dataclass(frozen=True, eq=False)
 class Regressor:
-    """Reduced inputs to latents, per cluster: linear, or one hidden layer of tanh (eq. 12).
+    """Reduced inputs to latents, per cluster: linear, quadratic, or a layer of tanh (eq. 12).
 
     Attributes:
-        weight: (C, N, L) from the hidden layer, or (C, K, L) from the inputs where there is none.
+        weight: (C, N, L) from the hidden layer, or (C, K, L) from the inputs where there is none,
+            or (C, K + Q, L) from the inputs and their products.
         bias: (C, L).
-        hidden_weight, hidden_bias: (C, K, N) and (C, N); None for a linear regressor.
+        hidden_weight, hidden_bias: (C, K, N) and (C, N); only of a layer of tanh.
+        pairs: which inputs are multiplied, (2, Q); only of a quadratic regressor.
     """
 
     weight: FloatArray
     bias: FloatArray
     hidden_weight: FloatArray | None = None
     hidden_bias: FloatArray | None = None
+    pairs: IntArray | None = None
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
         """Latents (P, C, L) of reduced inputs (P, C, K)."""
         value = np.swapaxes(inputs, 0, 1)
+        if self.pairs is not None:
+            products = value[..., self.pairs[0]] * value[..., self.pairs[1]]
+            value = np.concatenate([value, products], axis=-1)
         if self.hidden_weight is not None and self.hidden_bias is not None:
             value = np.tanh(value @ self.hidden_weight + self.hidden_bias[:, None])
         value = np.repeat(value, len(self.weight) // len(value), axis=0)
         return np.swapaxes(value @ self.weight + self.bias[:, None], 0, 1)
 
-    def arrays(self) -> dict[str, FloatArray]:
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
         """The arrays that are not None, by name."""
         named = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return {name: array for name, array in named.items() if array is not None}
@@ -186,13 +192,15 @@ class VisibilityModel:
         """How each stored array is packed, by its name in the file; all else is float32.
 
         In 8 bits components have a scale each, means one a coefficient, as deviations from open
-        visibility, and matrices one a column.
+        visibility, and matrices one a column. Those of a quadratic model stay in half precision:
+        weights on products are small, products are large, and magnify the error of their inputs.
         """
         kind = self.storage
         if kind == "float32":
             return {}
         opened = np.zeros(self.order**2, dtype=np.float32)
         opened[0] = math.sqrt(4.0 * math.pi)
+        inner: Storage = kind if self.regressor.pairs is None else "float16"
         matrices = {"input_basis": self.input_basis, "regressor.weight": self.regressor.weight}
         if self.regressor.hidden_weight is not None:
             matrices["regressor.hidden_weight"] = self.regressor.hidden_weight
@@ -207,7 +215,7 @@ class VisibilityModel:
             "basis": Packing(kind),
             "rest_tangents": Packing("float16", axis=(-2, -1)),
             **{
-                name: Packing(kind, axis=(-2, -1), period=matrix.shape[-1])
+                name: Packing(inner, axis=(-2, -1), period=matrix.shape[-1])
                 for name, matrix in matrices.items()
                 if matrix.size > 0
             },
@@ -421,6 +429,11 @@ def check_shapes(model: VisibilityModel) -> None:
         if model.regressor.hidden_weight.shape != (clusters, inner, neurons):
             raise ValueError("regressor.hidden_weight does not fit the inputs and neurons")
         inner = neurons
+    pairs = model.regressor.pairs
+    if pairs is not None:
+        if pairs.ndim != 2 or len(pairs) != 2 or not ((pairs >= 0) & (pairs < inner)).all():
+            raise ValueError("regressor.pairs are no pairs of the inputs")
+        inner += pairs.shape[1]
     if model.regressor.weight.shape[:2] != (groups, inner) or (
         model.regressor.weight.shape[2] < width
     ):

@@ -14,6 +14,7 @@ from prtnet.errors import PrtnetError
 from prtnet.files import writing
 from prtnet.frames import FrameField
 from prtnet.model import VisibilityModel
+from prtnet.output_space import OutputSpace
 from prtnet.scene import Geometry, Receivers, Scene
 from prtnet.sh_rotation import rotate
 from prtnet.time_range import part_of
@@ -26,7 +27,7 @@ class ModelledScene:
     """A model on its scene.
 
     Raises:
-        PrtnetError: the model was fitted to another mesh or rig.
+        PrtnetError: the model was fitted to another mesh or rig, or gives no plain visibility.
     """
 
     model: VisibilityModel
@@ -34,6 +35,7 @@ class ModelledScene:
 
     def __post_init__(self) -> None:
         """Refuse a pair that does not belong together."""
+        OutputSpace.of(self.model.metadata).require_plain("use it on a scene")
         wanted = self.model.metadata.get("mesh_sha256")
         if wanted != self.scene.mesh_sha256 or len(self.receivers) != self.model.receiver_count:
             name = self.model.metadata.get("scene_name", "another scene")

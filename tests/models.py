@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from prtnet.features import DihedralAngles, Features, JointAngles, Occluders
+from prtnet.features import DihedralAngles, Features, JointAngles, LocalJoints, Occluders
 from prtnet.model import Regressor, VisibilityModel
 from prtnet.occluders import Spheres
 
@@ -35,6 +35,9 @@ def random_features(kind: str, joints: int, clusters: int, order: int, seed: int
     if kind == "dihedral_angles":  # of a cache with four vertices for each of the joints' numbers
         vertices = [rng.choice(4 * joints, 4, replace=False) for _ in range(9)]
         return DihedralAngles(np.array(vertices, dtype=np.int32))
+    if kind == "local_joints":
+        home = rng.integers(0, joints, clusters).astype(np.int32)
+        return LocalJoints(home, rng.uniform(0.1, 0.5, clusters).astype(np.float32), joints)
     spheres = Spheres(
         rng.integers(0, joints, 11).astype(np.int32),
         rng.normal(0, 0.2, (11, 3)).astype(np.float32),
@@ -79,12 +82,16 @@ def random_model(
     latents = rng.choice([0, 2, most], groups).astype(np.int32)
     if kind == "constant":
         latents[:] = 0
-    shared = clusters if features == "occluders" else 1
+    shared = clusters if features in ("occluders", "local_joints") else 1
 
     def normal(*shape: int) -> np.ndarray:
         return rng.normal(size=shape).astype(np.float32)
 
     hidden = neurons if kind == "neural" else inputs
+    pairs = None
+    if kind == "quadratic":
+        pairs = np.array([[0, 0, 1, 2, 1], [0, 1, 3, 3, 1]], dtype=np.int32)
+        hidden += pairs.shape[1]
     return VisibilityModel(
         kind=kind,
         order=order,
@@ -96,6 +103,7 @@ def random_model(
             normal(groups, most),
             normal(clusters, inputs, neurons) if kind == "neural" else None,
             normal(clusters, neurons) if kind == "neural" else None,
+            pairs,
         ),
         latents=latents,
         receivers=slots.reshape(groups, capacity),

@@ -6,7 +6,14 @@ import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
 
-__all__ = ["balanced_clusters", "cluster_coordinates", "subdivide"]
+__all__ = [
+    "assign_balanced",
+    "balanced_clusters",
+    "cluster_coordinates",
+    "slots_of",
+    "squared_distances",
+    "subdivide",
+]
 
 
 def cluster_coordinates(
@@ -83,9 +90,14 @@ def balanced_clusters(
         np.add.at(total, label, points)
         count = np.bincount(label, minlength=clusters)[:, None]
         centres = np.where(count > 0, total / np.maximum(count, 1), centres)
+    return slots_of(label, clusters, capacity)
+
+
+def slots_of(label: IntArray, clusters: int, capacity: int) -> IntArray:
+    """Slots (C, R) of clusters that have members, of each point's cluster (V,)."""
     slots = np.full((clusters, capacity), -1, dtype=np.int32)
     order = np.argsort(label, kind="stable")
-    rank = np.arange(len(points)) - np.searchsorted(label[order], label[order])
+    rank = np.arange(len(label)) - np.searchsorted(label[order], label[order])
     slots[label[order], rank] = order
     return slots[(slots >= 0).any(axis=1)]
 

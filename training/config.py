@@ -17,20 +17,32 @@ __all__ = ["PRESETS", "TrainConfig"]
 class TrainConfig:
     """Options of `prtnet train`."""
 
-    kind: Literal["constant", "linear", "neural", "hybrid", "shared"] = "neural"
-    """The regressor: none at all, ridge regression, or one hidden layer of tanh. Or two that see
-    what surrounds every receiver: hybrid maps it by a matrix a cluster, shared by one network for
-    all receivers; a tanh layer a cluster then corrects what is left, in so many latents."""
-    features: Literal["joint_angles", "occluders"] | None = None
-    """What it sees: the papers' joint angles (dihedral angles for point caches), or the occluders
-    around each cluster; when not given, occluders for skinned scenes."""
+    kind: Literal["constant", "linear", "quadratic", "neural", "hybrid", "shared"] = "neural"
+    """The regressor: none at all, ridge regression on the inputs or also on the products of the
+    leading ones, or one hidden layer of tanh. Or two that see what surrounds every receiver: hybrid
+    maps it by a matrix a cluster, shared by one network for all receivers; a tanh layer a cluster
+    then corrects what is left, in so many latents."""
+    features: Literal["joint_angles", "local_joints", "occluders"] | None = None
+    """What it sees: the papers' joint angles (dihedral angles for point caches), or what is around
+    each cluster, joints or occluders; when not given, occluders for skinned scenes."""
     clusters: int = 64
     """Clusters of receivers, equally large."""
+    clustering: Literal["position", "weights", "rigid", "signal"] = "position"
+    """What they are made of: position and skin weights; segments of like skin weights; segments
+    that turn alike; or receivers whose visibility varies alike."""
     parts: int = 1
     """Groups of receivers in each cluster: each has output components of its own, and all are
     driven by the cluster's one hidden layer."""
-    neurons: int = 32
-    """Neurons in each cluster's hidden layer."""
+    frame: Literal["local", "global"] = "local"
+    """Frame of the output; models in the global one can only be evaluated on their dataset."""
+    target: Literal["visibility", "cosine"] = "visibility"
+    """What is fitted; models of cosine-weighted visibility can only be evaluated likewise."""
+    neurons: int | Literal["auto"] = 32
+    """Neurons in each cluster's hidden layer; auto cross-validates 8, 16, 32 and 64, with α."""
+    leading: int = 12
+    """So many leading inputs are multiplied with each other in a quadratic model."""
+    smoothness: float = 0.0
+    """Linear and quadratic: weight of the prior that what moves little changes little."""
     networks: int = 1
     """Networks fitted from different starts and averaged into one of networks × neurons."""
     restarts: int = 1
@@ -89,12 +101,18 @@ class TrainConfig:
         least = {"clusters": 1, "neurons": 1, "networks": 1, "inputs": 1, "iterations": 1}
         least["restarts"] = 1
         least |= {"spheres": 1, "points": 1, "near": 1, "feature_order": 1, "latents": 0}
-        least |= {"parts": 1, "step": 1}
+        least |= {"parts": 1, "step": 1, "leading": 1}
         least |= {"near_spheres": 1, "patches": 1, "near_patches": 1, "prior_order": 1}
         least |= {"samples": 1, "width": 1, "depth": 1, "codes": 0, "steps": 1}
         for name, bound in least.items():
-            if not getattr(self, name) >= bound:  # so that NaN fails
+            value = getattr(self, name)
+            if value != "auto" and not value >= bound:  # so that NaN fails
                 raise PrtnetError(f"--{name.replace('_', '-')}", f"must be at least {bound}")
+        if self.kind in ("hybrid", "shared") and (self.frame, self.target) != (
+            "local",
+            "visibility",
+        ):
+            raise PrtnetError("--kind", f"{self.kind} predicts visibility in local frames only")
         if self.prior_order > SkinSurroundings.MOST_ORDER:
             raise PrtnetError("--prior-order", f"must be at most {SkinSurroundings.MOST_ORDER}")
         if self.feature_order > Occluders.MOST_ORDER:
@@ -102,8 +120,10 @@ class TrainConfig:
         for name in ("output_variance", "input_variance"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise PrtnetError(f"--{name.replace('_', '-')}", "must be above 0 and at most 1")
-        if self.alpha is not None and not 0 <= self.alpha < float("inf"):
-            raise PrtnetError("--alpha", "must be a finite number, at least 0")
+        for name in ("alpha", "smoothness"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < float("inf"):
+                raise PrtnetError(f"--{name}", "must be a finite number, at least 0")
         if not 0 <= self.seed < 2**32:
             raise PrtnetError("--seed", "must be at least 0 and below 2^32")
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from prtnet.files import writing
 from prtnet.model import VisibilityModel
+from prtnet.output_space import OutputSpace
 from training.gpu_tables import COUNT_BITS, FORMATS, WIDTH, gpu_tables, write_gpu_tables
 from training.onnx_export import export_latent_onnx, export_onnx
 
@@ -90,8 +91,9 @@ def export_folder(model: VisibilityModel, out: Path) -> dict[str, int]:
         Sizes of the files in bytes, by name.
 
     Raises:
-        PrtnetError: the folder cannot be written.
+        PrtnetError: the folder cannot be written, or the model gives no plain visibility.
     """
+    OutputSpace.of(model.metadata).require_plain("export it")
     facts = {name: model.metadata[name] for name in FACTS if name in model.metadata}
     facts |= {
         "kind": model.kind,

@@ -7,13 +7,26 @@ import dataclasses
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.features import DihedralAngles, JointAngles, Occluders, joint_matrices
+from prtnet.features import (
+    DihedralAngles,
+    JointAngles,
+    LocalJoints,
+    Occluders,
+    joint_matrices,
+)
 from prtnet.occluders import fit_spheres
 
-__all__ = ["fit_joint_angles", "fit_occluders", "interior_edges", "moving_joints"]
+__all__ = [
+    "fit_joint_angles",
+    "fit_local_joints",
+    "fit_occluders",
+    "interior_edges",
+    "moving_joints",
+]
 
 SAME_SCALE = 1e-3  # relative
 LIFT = 0.02  # of the scene's largest extent
+REACH = 0.15  # of the scene's height
 STILL = 1e-4  # a joint whose six floats never leave this range does not move
 
 
@@ -30,6 +43,32 @@ def moving_joints(angles: FloatArray) -> IntArray:
     """Joints whose six floats (P, 6·J) change over the poses."""
     spread = np.ptp(angles.reshape(len(angles), -1, 6), axis=0).max(axis=1)
     return np.flatnonzero(spread > STILL).astype(np.int32)
+
+
+def dominant_joints(slots: IntArray, joint_weights: FloatArray) -> IntArray:
+    """The joint that moves each cluster most, (C,), of slots (C, R) and skin weights (V, J)."""
+    return np.array(
+        [np.argmax(joint_weights[own[own >= 0]].sum(axis=0)) for own in slots], dtype=np.int32
+    )
+
+
+def fit_local_joints(
+    slots: IntArray, rest_positions: FloatArray, joint_weights: FloatArray, rest_pose: FloatArray
+) -> LocalJoints:
+    """Joints in the frame of each cluster's dominant joint; nearby is a fraction of the height.
+
+    Args:
+        slots: receivers of each cluster, (C, R), −1 for empty.
+        rest_positions: receivers at rest, (V, 3).
+        joint_weights: (V, J).
+        rest_pose: the pose of that rest, (D,).
+    """
+    joints = joint_weights.shape[1]
+    home = dominant_joints(slots, joint_weights)
+    scale = np.linalg.norm(joint_matrices(rest_pose[None], joints)[0, home, :, 0], axis=1)
+    height = float(np.ptp(rest_positions, axis=0).max())
+    reach = REACH * height / np.where(scale > 0, scale, 1.0)
+    return LocalJoints(home, reach.astype(np.float32), joints)
 
 
 def interior_edges(faces: IntArray, welded: IntArray) -> DihedralAngles:
@@ -111,11 +150,10 @@ def fit_occluders(
     rest = joint_matrices(rest_pose[None], joints)[0].astype(np.float64)
     fitted = fit_spheres(rest_positions, joint_weights, rest, spheres, seed=seed)
     lift = LIFT * float(np.ptp(rest_positions, axis=0).max())
-    home = np.zeros(len(slots), dtype=np.int32)
+    home = dominant_joints(slots, joint_weights)
     where = np.zeros((len(slots), points, 3), dtype=np.float32)
     for cluster, own in enumerate(slots):
         own = own[own >= 0]
-        home[cluster] = np.argmax(joint_weights[own].sum(axis=0))
         seen = reference_points(rest_positions[own], rest_normals[own], points, lift)
         linear, offset = rest[home[cluster], :, :3], rest[home[cluster], :, 3]
         where[cluster] = (seen - offset) @ np.linalg.pinv(linear).T

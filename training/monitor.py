@@ -1,4 +1,4 @@
-"""Who watches a fit."""
+"""Who watches a fit, and is told how it goes."""
 
 from __future__ import annotations
 

@@ -13,9 +13,17 @@ import onnx
 
 from prtnet import sh
 from prtnet.arrays import FloatArray
-from prtnet.features import FULL_FOLD, SMALLEST, DihedralAngles, Features, JointAngles, Occluders
+from prtnet.features import (
+    FULL_FOLD,
+    SMALLEST,
+    DihedralAngles,
+    Features,
+    JointAngles,
+    LocalJoints,
+    Occluders,
+)
 from prtnet.files import writing
-from prtnet.model import VisibilityModel
+from prtnet.model import Regressor, VisibilityModel
 from prtnet.storage import Stored
 from training.clamping import clamp_nodes, from_unit_nodes, unit_box
 from training.onnx_graph import GraphBuilder
@@ -85,6 +93,23 @@ def dihedral_angle_nodes(graph: GraphBuilder, features: DihedralAngles, pose_siz
     twice = graph.node("Mul", graph.total(sine, 1, keep=True), two)
     base = graph.clip(graph.node("Add", graph.node("Mul", cosine, two), two), FULL_FOLD)
     return graph.node("Div", twice, graph.node("Sqrt", base))
+
+
+def local_joint_nodes(graph: GraphBuilder, features: LocalJoints) -> str:
+    """(P, C, 3·J) where the joints are in the frame of each cluster's joint."""
+    matrices = joint_matrices(graph, features.joints)
+    home = graph.node("Gather", matrices, graph.constant(features.cluster_joint), axis=1)
+    linear, offset = graph.slice(home, 0, 3, 3), graph.slice(home, 3, 4, 3)
+    inverse = graph.node("Div", linear, squared_columns(graph, linear))
+    inverse = graph.node("Transpose", inverse, perm=[0, 1, 3, 2])
+    places = graph.node("Transpose", graph.slice(matrices, 3, 4, 3), perm=[0, 3, 2, 1])
+    away = graph.node("Sub", places, offset)  # [P, C, 3, J]
+    local = graph.node("MatMul", inverse, away)
+    square = graph.total(graph.node("Mul", local, local), 2, keep=True)
+    distance = graph.node("Sqrt", graph.clip(square, SMALLEST))
+    reach = graph.constant(features.reach[:, None, None])
+    seen = graph.node("Div", local, graph.node("Add", distance, reach))
+    return graph.reshape(seen, [-1, len(features.cluster_joint), 3 * features.joints])
 
 
 def near_nodes(graph: GraphBuilder, features: Occluders) -> tuple[str, str]:
@@ -218,6 +243,8 @@ def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> st
         return dihedral_angle_nodes(graph, features, pose_size)
     if isinstance(features, JointAngles):
         value, clusters = joint_angle_nodes(graph, features), 1
+    elif isinstance(features, LocalJoints):
+        value, clusters = local_joint_nodes(graph, features), len(features.cluster_joint)
     elif isinstance(features, Occluders):
         value, clusters = occluder_nodes(graph, features), len(features.near)
     else:
@@ -279,15 +306,34 @@ def first_matrix(graph: GraphBuilder, features: Features, basis: Stored, weight:
     return graph.node("MatMul", graph.stored(basis), graph.stored(weight))
 
 
+def first_layer(model: VisibilityModel) -> tuple[Stored, FloatArray] | None:
+    """Matrix (1 or C, K, N) and bias (1 or C, 1, N) of what :func:`bend_nodes` takes, if anything.
+
+    A quadratic regressor multiplies the reduced inputs as they are.
+    """
+    regressor = model.regressor
+    if regressor.hidden_bias is not None:
+        return model.stored("regressor.hidden_weight"), regressor.hidden_bias[:, None]
+    if regressor.pairs is None:
+        return None
+    inputs = model.input_basis.shape[2]
+    same = np.eye(inputs, dtype=np.float32)[None]
+    return Stored(same, np.ones((1, 1, 1), dtype=np.float32)), np.zeros((1, 1, inputs))
+
+
+def bend_nodes(graph: GraphBuilder, regressor: Regressor, value: str) -> str:
+    """What the last layer sees, (P, 1 or C, 1, N): tanh, or inputs with their products behind."""
+    if regressor.pairs is None:
+        return graph.node("Tanh", value)
+    pair = (graph.node("Gather", value, graph.constant(k), axis=3) for k in regressor.pairs)
+    return graph.node("Concat", value, graph.node("Mul", *pair), axis=3)
+
+
 def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer) -> str:
     """(P, C · M) every cluster's latents, of the pose; what is one does not fade."""
-    hidden_bias = model.regressor.hidden_bias
     clamped = model.input_low is not None and model.input_high is not None
     last_bias = layer.bias if clamped else layer.bias + layer.ones
-    if hidden_bias is None:
-        weight, bias = layer.weight, last_bias
-    else:
-        weight, bias = model.stored("regressor.hidden_weight"), hidden_bias[:, None]
+    weight, bias = first_layer(model) or (layer.weight, last_bias)
     value = feature_nodes(graph, model.features, model.pose_size)
     damping = None
     if model.input_low is None or model.input_high is None:
@@ -297,8 +343,9 @@ def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer
         value = linear_nodes(graph, model, value, box.matrix, box.bias)
         value, damping = clamp_nodes(graph, box, value)
         value = graph.node("MatMul", value, from_unit_nodes(graph, box, weight, bias))
-    if hidden_bias is not None:
-        value = graph.node("MatMul", graph.node("Tanh", value), graph.stored(layer.weight))
+    if weight is not layer.weight:
+        value = bend_nodes(graph, model.regressor, value)
+        value = graph.node("MatMul", value, graph.stored(layer.weight))
         value = graph.node("Add", value, graph.constant(last_bias))
     if damping is not None:
         value = graph.node("Add", graph.node("Div", value, damping), graph.constant(layer.ones))

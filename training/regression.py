@@ -90,15 +90,15 @@ def target_scale(targets: Tensor) -> Tensor:
     return torch.where(variance > 0, variance, 1.0).sqrt()[:, None, None]
 
 
-def ridge(x: Tensor, targets: Tensor, alpha: float) -> Tensor:
+def ridge(x: Tensor, targets: Tensor, alpha: float, prior: Tensor | None = None) -> Tensor:
     """Weights and, in the last row, the bias: (C, K + 1, L) for x (C, P, K), targets (C, P, L).
 
-    Minimises mean_i ‖x W + b − t‖² + α ‖W‖².
+    Minimises mean_i ‖x W + b − t‖² + α ‖W‖² + tr Wᵀ S W, S (C, K, K) the ``prior``.
     """
-    return solve_ridge(with_ones(x), targets, alpha)
+    return solve_ridge(with_ones(x), targets, alpha, prior)
 
 
-def solve_ridge(full: Tensor, targets: Tensor, alpha: float) -> Tensor:
+def solve_ridge(full: Tensor, targets: Tensor, alpha: float, prior: Tensor | None = None) -> Tensor:
     """As :func:`ridge`, for inputs (C, P, K + 1) whose last column is ones.
 
     The normal equations are solved in float64, with as much added to their diagonal as the
@@ -106,6 +106,8 @@ def solve_ridge(full: Tensor, targets: Tensor, alpha: float) -> Tensor:
     """
     poses = full.shape[1]
     gram = full.mT @ full / poses
+    if prior is not None:
+        gram = gram + torch.nn.functional.pad(prior, (0, 1, 0, 1))
     diagonal = torch.full_like(gram[:, 0], alpha)
     diagonal[:, -1] = 0.0
     mean_diagonal = gram.diagonal(dim1=-2, dim2=-1).mean(-1, keepdim=True)
@@ -132,7 +134,9 @@ def require_finite(inputs: Tensor, targets: Tensor) -> None:
             )
 
 
-def fit_varying(inputs: Tensor, targets: Tensor, fit: Callable[[Tensor, Tensor], Fit]) -> Fit:
+def fit_varying(
+    inputs: Tensor, targets: Tensor, fit: Callable[[Tensor, Tensor, Tensor], Fit]
+) -> Fit:
     """Fit the clusters whose targets vary; the others cost nothing and predict their mean.
 
     So does, whatever happens, a cluster whose fit is not finite.
@@ -140,7 +144,8 @@ def fit_varying(inputs: Tensor, targets: Tensor, fit: Callable[[Tensor, Tensor],
     Args:
         inputs: (C, P, K).
         targets: (C, P, L).
-        fit: fits some of the clusters, (A, P, K) and (A, P, L), to targets of unit variance.
+        fit: fits some of the clusters, (A, P, K) and (A, P, L), to targets of unit variance; which
+            they are is its third argument, (A,).
     """
     require_finite(inputs, targets)
     scale, mean = target_scale(targets), targets.mean(dim=1)
@@ -149,7 +154,7 @@ def fit_varying(inputs: Tensor, targets: Tensor, fit: Callable[[Tensor, Tensor],
     alive = varies.nonzero()[:, 0]
     if len(alive) == 0:  # one is fitted all the same: for the shapes
         alive = torch.zeros(1, dtype=torch.long, device=inputs.device)
-    part = fit(inputs[alive], targets[alive] / scale[alive])
+    part = fit(inputs[alive], targets[alive] / scale[alive], alive)
     sound = varies[alive] & torch.isfinite(part.loss)
     for layer in (part.weight, part.bias, part.hidden_weight, part.hidden_bias):
         if layer is not None:
@@ -181,18 +186,21 @@ def fit_varying(inputs: Tensor, targets: Tensor, fit: Callable[[Tensor, Tensor],
     )
 
 
-def fit_linear(inputs: Tensor, targets: Tensor, alpha: float) -> Fit:
-    """Ridge regression of targets (C, P, L) on inputs (C, P, K).
+def fit_linear(inputs: Tensor, targets: Tensor, alpha: float, prior: Tensor | None = None) -> Fit:
+    """Ridge regression of targets (C, P, L) on inputs (C, P, K); ``prior`` as in :func:`ridge`.
 
     Raises:
         PrtnetError: an input or a target is not finite.
     """
 
-    def fit(x: Tensor, t: Tensor) -> Fit:
-        solution = ridge(x, t, alpha)
+    def fit(x: Tensor, t: Tensor, index: Tensor) -> Fit:
+        form = None if prior is None else prior[index]
+        solution = ridge(x, t, alpha, form)
         weight, bias = solution[:, :-1], solution[:, -1]
         residual = with_ones(x) @ solution - t
         loss = residual.square().sum(-1).mean(-1) + alpha * weight.square().sum((1, 2))
+        if form is not None:
+            loss = loss + (weight * (form @ weight)).sum((1, 2))
         done = torch.zeros(len(x), dtype=torch.long)
         return Fit(weight, bias, None, None, loss, done, [CLOSED_FORM] * len(x))
 
@@ -315,7 +323,7 @@ def fit_neural(
         PrtnetError: an input or a target is not finite.
     """
 
-    def fit(x: Tensor, t: Tensor) -> Fit:
+    def fit(x: Tensor, t: Tensor, _: Tensor) -> Fit:
         objective = projected_objective(x, t, neurons, alpha)
         generator = torch.Generator().manual_seed(seed)
         starts = [start_near_ridge(x, t, neurons, generator) for _ in range(restarts)]

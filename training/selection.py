@@ -1,4 +1,4 @@
-"""Weight decay by cross-validation over whole clips, or over time where there is only one.
+"""Weight decay and neurons by cross-validation over whole clips, or over time in the only one.
 
 Poses of one clip are near copies of each other: a random split would flatter every model. A pose
 sampled from a held-back clip is held back with it.
@@ -6,6 +6,7 @@ sampled from a held-back clip is held back with it.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,10 +18,19 @@ from prtnet.arrays import BoolArray, FloatArray
 from prtnet.time_range import GUARD
 from training.regression import Fit
 
-__all__ = ["Fold", "choose_alpha", "folds_over_clips", "folds_over_time"]
+__all__ = [
+    "ALPHAS",
+    "NEURONS",
+    "Fold",
+    "choose_alpha",
+    "choose_neurons",
+    "folds_over_clips",
+    "folds_over_time",
+]
 
 ALPHAS = (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 1.0)
 START = 3e-3
+NEURONS = (8, 16, 32, 64)
 FEWEST_POSES = 4  # a fold that trains on fewer says nothing
 
 
@@ -110,23 +120,98 @@ def choose_alpha(
         start: tried first.
         on_candidate: called with each α and its error.
     """
-    signal = sum(float(targets[:, fold.validate].square().sum()) for fold in folds)
+    trial = Trials(inputs, targets, folds, on_candidate)
     errors: dict[float, float] = {}
 
     def error(position: int) -> float:
         alpha = alphas[position]
         if alpha not in errors:
-            lost = sum(validation_loss(fit, inputs, targets, fold, alpha) for fold in folds)
-            errors[alpha] = (lost / max(signal, 1e-30)) ** 0.5
-            if on_candidate is not None:
-                on_candidate(alpha, errors[alpha])
+            errors[alpha] = trial(fit, alpha)
         return errors[alpha]
 
-    best = alphas.index(start)
-    for direction in (1, -1):
-        while 0 <= best + direction < len(alphas) and error(best + direction) < error(best):
-            best += direction
+    best = descend(error, len(alphas), alphas.index(start))
     return alphas[best], errors
+
+
+def choose_neurons(
+    fit: Callable[[Tensor, Tensor, int, float], Fit],
+    inputs: Tensor,
+    targets: Tensor,
+    folds: Sequence[Fold],
+    alphas: Sequence[float] = ALPHAS,
+    sizes: Sequence[int] = NEURONS,
+    start: tuple[int, float] = (16, START),
+    on_candidate: Callable[[float, float], None] | None = None,
+) -> tuple[int, float, dict[tuple[int, float], float]]:
+    """Number of neurons and α of least validation error, and the errors of all pairs tried.
+
+    Descends in α, then in the number of neurons, in turn until neither helps; every pair is tried
+    once at most. "Arbitrary BRDFs" section 5.3 chooses both likewise.
+
+    Args:
+        fit: (inputs (C, P, K), targets (C, P, L), neurons, α) to a fit.
+        inputs: of all training poses, (C, P, K).
+        targets: their latents, (C, P, L).
+        folds: from :func:`folds_over_clips`.
+        alphas: candidates, ascending.
+        sizes: candidates, ascending.
+        start: neurons and α tried first, of the candidates.
+        on_candidate: called with each α and its error.
+    """
+    trial = Trials(inputs, targets, folds, on_candidate)
+    errors: dict[tuple[int, float], float] = {}
+
+    def error(row: int, column: int) -> float:
+        pair = sizes[row], alphas[column]
+        if pair not in errors:
+
+            def sized(x: Tensor, t: Tensor, alpha: float) -> Fit:
+                return fit(x, t, pair[0], alpha)
+
+            errors[pair] = trial(sized, pair[1])
+        return errors[pair]
+
+    row, column = sizes.index(start[0]), alphas.index(start[1])
+    while True:
+        column = descend(functools.partial(error, row), len(alphas), column)
+
+        def down(position: int, column: int = column) -> float:
+            return error(position, column)
+
+        best = descend(down, len(sizes), row)
+        if best == row:
+            return sizes[row], alphas[column], errors
+        row = best
+
+
+def descend(error: Callable[[int], float], count: int, best: int) -> int:
+    """The position of a local minimum among ``count``, downhill from ``best``."""
+    for direction in (1, -1):
+        while 0 <= best + direction < count and error(best + direction) < error(best):
+            best += direction
+    return best
+
+
+class Trials:
+    """Relative validation errors of the latents, over all folds."""
+
+    def __init__(
+        self,
+        inputs: Tensor,
+        targets: Tensor,
+        folds: Sequence[Fold],
+        on_candidate: Callable[[float, float], None] | None,
+    ) -> None:
+        self.inputs, self.targets, self.folds = inputs, targets, folds
+        self.signal = sum(float(targets[:, fold.validate].square().sum()) for fold in folds)
+        self.on_candidate = on_candidate
+
+    def __call__(self, fit: Callable[[Tensor, Tensor, float], Fit], alpha: float) -> float:
+        lost = sum(validation_loss(fit, self.inputs, self.targets, f, alpha) for f in self.folds)
+        error = float((lost / max(self.signal, 1e-30)) ** 0.5)
+        if self.on_candidate is not None:
+            self.on_candidate(alpha, error)
+        return error
 
 
 def validation_loss(

@@ -18,28 +18,51 @@ from prtnet.errors import PrtnetError
 from prtnet.features import Features
 from prtnet.metrics import ErrorSum
 from prtnet.model import FORMAT_VERSION, Regressor, VisibilityModel
-from training.clusters import balanced_clusters, cluster_coordinates, subdivide
+from prtnet.output_space import OutputSpace
+from training.clustering import cluster_receivers
+from training.clusters import cluster_coordinates, subdivide
 from training.config import TrainConfig
-from training.inputs import fit_joint_angles, fit_occluders, interior_edges
+from training.inputs import fit_joint_angles, fit_local_joints, fit_occluders, interior_edges
 from training.monitor import Monitor, Silent
 from training.prior_fit import fit_prior, subtract
+from training.quadratic import Products
 from training.reduction import input_reduction, reduce_output
 from training.regression import Fit, average, fit_linear, fit_neural, total_iterations
-from training.selection import Fold, choose_alpha, folds_over_clips, folds_over_time
+from training.selection import (
+    ALPHAS,
+    Fold,
+    choose_alpha,
+    choose_neurons,
+    folds_over_clips,
+    folds_over_time,
+)
 from training.signal_groups import regroup
+from training.smoothness import change_covariance, consecutive
 
 __all__ = ["train"]
 
 DEFAULT_ALPHA = 3e-3  # where there is too little to cross-validate with
+DEFAULT_NEURONS = 16  # likewise, where the number is to be chosen
+AROUND = ("hybrid", "shared")  # kinds with a prior at every receiver
+NEURAL = ("neural", *AROUND)  # kinds whose clusters have a tanh layer
 TRIAL_ITERATIONS = 60  # cross-validation compares, it need not converge
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """Reduced inputs (C, P, K) and targets (C, P, L) as tensors."""
+    """What the regressors are fitted to, as tensors.
+
+    Attributes:
+        inputs: reduced inputs, for a quadratic model with their products, (C, P, K).
+        targets: (C, P, L).
+        products: how the products were made; only for a quadratic model.
+        prior: quadratic form of the weights of linear and quadratic models, (C, K, K), if any.
+    """
 
     inputs: Tensor
     targets: Tensor
+    products: Products | None = None
+    prior: Tensor | None = None
 
 
 def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None) -> VisibilityModel:
@@ -54,21 +77,22 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     rows = dataset.training_poses()
     if len(rows) == 0:
         raise PrtnetError(dataset.path, "holds no training poses; hold out fewer clips")
-    visibility, poses = dataset.read("visibility", rows), dataset.read("pose", rows)
+    space = OutputSpace(config.frame, config.target)
+    visibility, poses = space.read(dataset, rows), dataset.read("pose", rows)
     if not (np.isfinite(visibility).all() and np.isfinite(poses).all()):
         raise PrtnetError(dataset.path, "holds values that are not finite; generate it again")
 
     watch.stage("clusters and components")
-    coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
-    slots = balanced_clusters(coordinates, config.clusters, config.seed)
+    slots = cluster_receivers(dataset, rows, visibility, config)
     prior, signal = None, None
-    if config.kind in ("hybrid", "shared"):
+    if config.kind in AROUND:
         signal = visibility.mean(axis=0, dtype=np.float64).astype(np.float32)
         prior = fit_prior(dataset, poses, visibility, slots, config, watch)
         subtract(prior, poses, visibility, watch)
         watch.stage("components of what is left")
     latents = 0.0 if config.kind == "constant" else config.latents
     latents /= config.parts
+    coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
     groups = subdivide(slots, coordinates, config.parts, config.seed)
     groups = regroup(visibility, groups, config.parts, round(min(latents, len(rows))))
     output = reduce_output(visibility, groups, config.output_variance, latents, config.step)
@@ -81,12 +105,13 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     inputs = (np.swapaxes(values, 0, 1) - mean[:, None]) @ basis
     inputs = np.broadcast_to(inputs, (len(slots), *inputs.shape[1:]))
     data = to_device(inputs, side_by_side(output.targets, config.parts), config.device)
+    data = with_products_and_prior(data, dataset, rows, config)
 
     folds = cross_validation_folds(dataset, rows)
-    alpha, trials = select(data, config, folds, watch)
+    neurons, alpha, trials = select(data, config, folds, watch)
     watch.stage(f"{config.kind} fit, α = {alpha:g}")
     fit_started = time.perf_counter()
-    fits = fit(data, config, alpha, watch)
+    fits = fit(data, config, neurons, alpha, watch)
     fit_seconds = time.perf_counter() - fit_started
     result = average(fits)
 
@@ -96,7 +121,7 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
         features=features,
         input_mean=mean,
         input_basis=basis,
-        regressor=to_regressor(result, config.parts),
+        regressor=to_regressor(result, data.products, config.parts),
         latents=output.latents.astype(np.int32),
         receivers=groups,
         mean=output.mean,
@@ -127,14 +152,18 @@ def fit_features(
 ) -> Features:
     """The configured features, fitted to the dataset's scene."""
     if dataset.joint_weights is None or dataset.joint_parents is None:
-        if config.features == "occluders":
+        if config.features in ("occluders", "local_joints"):
             raise PrtnetError(
-                "--features", "occluders are spheres that ride on joints, and a point cache has "
-                "none; use joint_angles"
+                "--features", f"{config.features} are made of joints, and a point cache has none; "
+                "use joint_angles"
             )  # fmt: skip
         return interior_edges(dataset.faces, dataset.receiver_of_vertex)
     if config.features == "joint_angles":
         return fit_joint_angles(poses, dataset.joint_parents)
+    if config.features == "local_joints":
+        return fit_local_joints(
+            slots, dataset.rest_positions, dataset.joint_weights, dataset.rest_pose
+        )
     return fit_occluders(
         poses, slots, dataset.rest_positions, dataset.rest_normals, dataset.joint_weights,
         dataset.rest_pose, points=config.points, near=config.near, spheres=config.spheres,
@@ -157,39 +186,70 @@ def to_device(inputs: FloatArray, targets: FloatArray, device: str) -> Prepared:
     """Tensors on the device, float32: the closed forms keep their accuracy (see the tests)."""
     try:
         where = torch.device(device)
-        return Prepared(
-            *(torch.tensor(a, dtype=torch.float32, device=where) for a in (inputs, targets))
-        )
+        x, t = (torch.tensor(a, dtype=torch.float32, device=where) for a in (inputs, targets))
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise PrtnetError("--device", f"'{device}' cannot be used ({reason}); use cpu") from error
+    return Prepared(x, t)
+
+
+def with_products_and_prior(
+    data: Prepared, dataset: Dataset, rows: IntArray, config: TrainConfig
+) -> Prepared:
+    """What quadratic models and the prior of smoothness add."""
+    if config.kind == "quadratic":
+        products = Products(data.inputs, config.leading)
+        data = dataclasses.replace(data, inputs=products(data.inputs), products=products)
+    if config.kind in ("linear", "quadratic") and config.smoothness > 0:
+        names = dataset.clip_names
+        sampled = names.index(SAMPLED) if SAMPLED in names else None
+        steps = consecutive(dataset.read("clip", rows), dataset.read("time", rows), sampled)
+        prior = config.smoothness * change_covariance(data.inputs, steps)
+        data = dataclasses.replace(data, prior=prior)
+    return data
 
 
 def select(
     data: Prepared, config: TrainConfig, folds: list[Fold], watch: Monitor
-) -> tuple[float, dict[float, float]]:
-    """α as configured, or by cross-validation."""
-    if config.alpha is not None:
-        return config.alpha, {}
+) -> tuple[int, float, dict[str, float]]:
+    """Neurons and α as configured, or by cross-validation; the errors of all tried."""
+    neural = config.kind in NEURAL
+    neurons = DEFAULT_NEURONS if config.neurons == "auto" else config.neurons
+    sized = config.neurons != "auto" or not neural
+    if sized and config.alpha is not None:
+        return neurons, config.alpha, {}
     if config.kind == "constant" or len(folds) < 2 or data.targets.shape[2] == 0:
-        return DEFAULT_ALPHA, {}
+        return neurons, DEFAULT_ALPHA if config.alpha is None else config.alpha, {}
     watch.stage(f"cross-validation, {len(folds)} folds")
 
+    def network(inputs: Tensor, targets: Tensor, neurons: int, alpha: float) -> Fit:
+        return fit_neural(inputs, targets, neurons, alpha, TRIAL_ITERATIONS, config.seed)
+
     def trial(inputs: Tensor, targets: Tensor, alpha: float) -> Fit:
-        if config.kind == "linear":
-            return fit_linear(inputs, targets, alpha)
-        return fit_neural(inputs, targets, config.neurons, alpha, TRIAL_ITERATIONS, config.seed)
+        if not neural:
+            return fit_linear(inputs, targets, alpha, data.prior)
+        return network(inputs, targets, neurons, alpha)
 
     def show(alpha: float, error: float) -> None:
         watch.scalar("cross_validation/error", error, round(alpha * 1e6))
 
-    return choose_alpha(trial, data.inputs, data.targets, folds, on_candidate=show)
+    if sized:
+        alpha, errors = choose_alpha(trial, data.inputs, data.targets, folds, on_candidate=show)
+        return neurons, alpha, {f"{a:g}": e for a, e in errors.items()}
+    alphas = ALPHAS if config.alpha is None else (config.alpha,)
+    start = neurons, DEFAULT_ALPHA if config.alpha is None else config.alpha
+    neurons, alpha, pairs = choose_neurons(
+        network, data.inputs, data.targets, folds, alphas, start=start, on_candidate=show
+    )
+    return neurons, alpha, {f"{n} neurons, {a:g}": e for (n, a), e in pairs.items()}
 
 
-def fit(data: Prepared, config: TrainConfig, alpha: float, watch: Monitor) -> list[Fit]:
+def fit(
+    data: Prepared, config: TrainConfig, neurons: int, alpha: float, watch: Monitor
+) -> list[Fit]:
     """The final fits: one, or several networks from different starts."""
-    if config.kind in ("constant", "linear") or data.targets.shape[2] == 0:
-        return [fit_linear(data.inputs, data.targets, alpha)]
+    if config.kind not in NEURAL or data.targets.shape[2] == 0:
+        return [fit_linear(data.inputs, data.targets, alpha, data.prior)]
     fits = []
     limit = total_iterations(config.iterations, config.restarts)
     for network in range(config.networks):
@@ -202,7 +262,7 @@ def fit(data: Prepared, config: TrainConfig, alpha: float, watch: Monitor) -> li
                 watch.histogram(f"fit/objective_{network}", values.cpu().numpy(), iteration)
 
         fitted = fit_neural(
-            data.inputs, data.targets, config.neurons, alpha, config.iterations,
+            data.inputs, data.targets, neurons, alpha, config.iterations,
             config.seed + network, on_iteration, config.restarts,
         )  # fmt: skip
         fits.append(fitted)
@@ -238,13 +298,15 @@ def side_by_side(targets: FloatArray, parts: int) -> FloatArray:
     return np.swapaxes(split, 1, 2).reshape(groups // parts, poses, parts * count)
 
 
-def to_regressor(fitted: Fit, parts: int) -> Regressor:
+def to_regressor(fitted: Fit, products: Products | None, parts: int) -> Regressor:
     """As float32 NumPy arrays, the last layer split over each cluster's groups."""
 
     def array(tensor: Tensor | None) -> FloatArray | None:
         return None if tensor is None else tensor.cpu().numpy().astype(np.float32)
 
-    weight, bias = array(fitted.weight), array(fitted.bias)
+    pairs = None if products is None else products.pairs
+    weight = array(fitted.weight if products is None else products.unscaled(fitted.weight))
+    bias = array(fitted.bias)
     assert weight is not None
     assert bias is not None
     clusters, inner, count = weight.shape
@@ -253,12 +315,12 @@ def to_regressor(fitted: Fit, parts: int) -> Regressor:
         shape
     )
     bias = bias.reshape(shape[0], shape[2])
-    return Regressor(weight, bias, array(fitted.hidden_weight), array(fitted.hidden_bias))
+    return Regressor(weight, bias, array(fitted.hidden_weight), array(fitted.hidden_bias), pairs)
 
 
 def describe(
     dataset: Dataset, config: TrainConfig, features: Features, alpha: float,
-    trials: dict[float, float], fits: list[Fit],
+    trials: dict[str, float], fits: list[Fit],
 ) -> dict[str, Any]:  # fmt: skip
     """What the model file says about itself."""
     status = [text for fitted in fits for text in fitted.status]
@@ -270,7 +332,7 @@ def describe(
         "format_version": FORMAT_VERSION,
         "config": dataclasses.asdict(config),
         "alpha": alpha,
-        "cross_validation": {f"{a:g}": e for a, e in trials.items()},
+        "cross_validation": trials,
         "fit_status": {text: status.count(text) for text in sorted(set(status))},
         "fits": [convergence(fitted) for fitted in fits],
         "dropped_joints": [names[joint] for joint in still],
@@ -294,10 +356,11 @@ def report_errors(model: VisibilityModel, dataset: Dataset, watch: Monitor) -> N
         if len(rows) == 0:
             continue
         watch.stage(f"{name.replace('_', '-')} error")
+        space = OutputSpace.of(model.metadata)
         total = ErrorSum()
         for start in range(0, len(rows), 16):
             block = rows[start : start + 16]
-            total.add(model(dataset.read("pose", block)), dataset.read("visibility", block))
+            total.add(model(dataset.read("pose", block)), space.read(dataset, block))
         summary = total.summary()
         model.metadata[f"{name}_error"] = summary
         watch.scalar(f"error/{name}", summary["rms"], 0)

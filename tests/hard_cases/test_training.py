@@ -15,7 +15,10 @@ from tests.training.data import memory_dataset
 from tests.training.test_train import SMALL
 from training.train import train
 
-KINDS = list(itertools.product(["linear", "neural"], ["joint_angles", "occluders"]))
+KINDS = [
+    *itertools.product(["linear", "neural"], ["joint_angles", "occluders"]),
+    ("quadratic", "local_joints"),
+]
 
 
 def fitted(data, kind, features, **options):
@@ -110,6 +113,17 @@ def test_training_range_holds_the_training_poses():
     model = fitted(data, "linear", "occluders")
     assert model.novelty(data.read("pose", data.training_poses())).max() < 1e-5
     assert model.novelty(data.read("pose", data.held_out_poses())).max() > 1e-3
+
+
+@pytest.mark.parametrize("clustering", ["weights", "rigid", "signal"])
+def test_clusterings_of_next_to_nothing(clustering):
+    """One pose, visibility that never changes, joints that never move, clusters without number."""
+    constant = memory_dataset()
+    constant.read("visibility")[:] = 1.0
+    still = memory_dataset(poses=np.repeat(random_poses(1, 4), 6, axis=0), clips=2)
+    for data in (memory_dataset(clips=1, per_clip=1), constant, still):
+        for clusters in (4, 500):
+            fitted(data, "linear", "joint_angles", clustering=clustering, clusters=clusters)
 
 
 def test_more_clusters_than_receivers():

@@ -7,7 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prtnet import sh
-from prtnet.features import DihedralAngles, JointAngles, Occluders, features_from_arrays
+from prtnet.features import (
+    DihedralAngles,
+    JointAngles,
+    LocalJoints,
+    Occluders,
+    features_from_arrays,
+)
 from prtnet.occluders import Spheres, cap_integrals
 from tests.models import random_features, random_poses
 
@@ -55,7 +61,37 @@ def test_occluders_equal_the_slow_reference(order):
     assert np.allclose(features(poses), expected, rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["joint_angles", "occluders"])
+def slow_local_joints(features, pose):
+    """One pose, one cluster, one joint at a time."""
+    joints = pose[: 12 * features.joints].reshape(-1, 3, 4).astype(np.float64)
+    result = np.zeros((len(features.cluster_joint), 3, features.joints))
+    for c, home in enumerate(features.cluster_joint):
+        frame = np.concatenate([joints[home], [[0, 0, 0, 1]]])
+        for j in range(features.joints):
+            p = (np.linalg.inv(frame) @ np.append(joints[j, :, 3], 1.0))[:3]
+            result[c, :, j] = p / (np.linalg.norm(p) + features.reach[c])
+    return result.reshape(len(result), -1)
+
+
+def test_local_joints_equal_the_slow_reference():
+    features = random_features("local_joints", joints=5, clusters=3, order=3)
+    poses = random_poses(4, 5)
+    expected = np.stack([slow_local_joints(features, pose) for pose in poses])
+    assert np.allclose(features(poses), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e5])
+def test_local_joints_do_not_depend_on_the_unit_of_length(scale):
+    features = random_features("local_joints", joints=4, clusters=3, order=3)
+    reach = (features.reach * scale).astype(np.float32)
+    poses = random_poses(3, 4)
+    scaled = poses.reshape(3, 4, 3, 4).copy()
+    scaled[..., 3] *= scale
+    other = LocalJoints(features.cluster_joint, reach, 4)
+    assert np.allclose(features(poses), other(scaled.reshape(3, -1)), atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["joint_angles", "local_joints", "occluders"])
 def test_global_motion_changes_nothing_but_the_roots(kind):
     features = random_features(kind, joints=4, clusters=3, order=4)
     if kind == "joint_angles":  # joint 0 is the root: its local rotation is the global one
@@ -93,7 +129,7 @@ def test_joint_angles_are_two_columns_of_the_local_rotation():
 
 
 def test_morph_weights_pass_through():
-    for kind in ("joint_angles", "occluders"):
+    for kind in ("joint_angles", "local_joints", "occluders"):
         poses = random_poses(2, 4, morphs=3)
         values = random_features(kind, joints=4, clusters=2, order=3)(poses)
         assert np.array_equal(values[:, -1, -3:], poses[:, -3:])
@@ -134,7 +170,7 @@ def test_folded_and_vanished_faces_are_finite():
         assert abs(value) < 10.0
 
 
-@pytest.mark.parametrize("kind", ["joint_angles", "dihedral_angles", "occluders"])
+@pytest.mark.parametrize("kind", ["joint_angles", "dihedral_angles", "local_joints", "occluders"])
 def test_arrays_round_trip(kind):
     features = random_features(kind, joints=4, clusters=2, order=4)
     again = features_from_arrays(kind, features.arrays())

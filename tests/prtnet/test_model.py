@@ -30,6 +30,9 @@ def slow(model, pose):
             diagonal = sum((float(b) - a) ** 2 for a, b in zip(low, high, strict=True)) ** 0.5
             strength = 1 / (1 + sum((value - known) ** 2) / (diagonal / 2) ** 2)
             value = known
+        if regressor.pairs is not None:
+            products = [value[i] * value[j] for i, j in regressor.pairs.T]
+            value = np.concatenate([value, products])
         if regressor.hidden_weight is not None:
             value = np.tanh(
                 value @ regressor.hidden_weight[cluster] + regressor.hidden_bias[cluster]
@@ -45,13 +48,15 @@ def slow(model, pose):
     return result
 
 
-@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
-@pytest.mark.parametrize("features", ["joint_angles", "dihedral_angles", "occluders"])
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
+@pytest.mark.parametrize(
+    "features", ["joint_angles", "dihedral_angles", "local_joints", "occluders"]
+)
 @pytest.mark.parametrize("parts", [1, 3])
 @pytest.mark.parametrize("clamped", [True, False])
 def test_equals_the_definition(kind, features, parts, clamped):
     model = random_model(kind, features, parts=parts, clamped=clamped)
-    shared = kind != "neural" and features != "occluders"
+    shared = kind != "neural" and features not in ("occluders", "local_joints")
     assert model.parts == (1 if shared else parts)  # sharing nothing but the inputs is no cluster
     poses = random_poses(3, 5)
     expected = np.stack([slow(model, pose) for pose in poses])
@@ -70,7 +75,7 @@ def test_encode_inverts_decode_for_orthonormal_components():
     assert np.allclose(model.encode(model.decode(latent)), latent[..., :most], atol=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("clamped", [True, False])
 def test_file_round_trip(kind, storage, clamped, tmp_path):

@@ -39,6 +39,11 @@ def memory_dataset(poses=None, visibility=None, clips=3, per_clip=8, joints=4, s
     }
     held = [names[-1]] if clips > 1 else []
     training = np.flatnonzero(label < clips - 1) if clips > 1 else np.arange(count)
+    # Receivers ride on their joints: their normals and tangents turn with them.
+    turned = poses.reshape(count, joints, 3, 4)[..., :3].astype(np.float64)
+    relative = turned @ np.linalg.pinv(turned[:1])
+    frames = relative[:, owner] @ Rotation.random(receivers, rng=rng).as_matrix()
+    arrays["normals"], arrays["tangents"] = frames[..., 2], frames[..., 0]
     positions = (np.eye(3)[owner % 3] + 0.1 * rng.normal(size=(receivers, 3))).astype(np.float32)
     return SimpleNamespace(
         path=Path("memory.zarr"), order=2, clip_names=names, held_out=held,
@@ -46,7 +51,8 @@ def memory_dataset(poses=None, visibility=None, clips=3, per_clip=8, joints=4, s
         scene_kind="skinned", scene_name="balls", scene_sha256="0", mesh_sha256="0",
         two_sided=False, joint_names=[f"joint{k}" for k in range(joints)],
         joint_parents=np.arange(-1, joints - 1), joint_weights=np.eye(joints)[owner],
-        rest_positions=positions, rest_normals=positions, rest_tangents=positions,
+        faces=np.arange(receivers).reshape(-1, 3), receiver_of_vertex=np.arange(receivers),
+        rest_positions=positions, rest_normals=frames[0, ..., 2], rest_tangents=frames[0, ..., 0],
         rest_pose=np.tile(np.eye(3, 4).ravel(), joints), pose_size=poses.shape[1],
         training_poses=lambda: training,
         held_out_poses=lambda: np.setdiff1d(np.arange(count), training),

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import json
 
 import moderngl
@@ -17,10 +18,11 @@ METADATA = {"scene_name": "ball", "scene_kind": "skinned"}
 RELATIVE = 1e-5  # float32 through a few hundred multiply-adds
 
 
-@pytest.fixture(params=STORAGES)
+@pytest.fixture(params=itertools.product(("neural", "quadratic"), STORAGES))
 def exported(request, tmp_path):
     """A model, and the folder exported of it."""
-    model = random_model(receivers=700, clusters=7, parts=2).stored_as(request.param)
+    kind, storage = request.param
+    model = random_model(kind, receivers=700, clusters=7, parts=2).stored_as(storage)
     model.metadata.update(METADATA)
     export_folder(model, tmp_path / "export")
     return model, tmp_path / "export"

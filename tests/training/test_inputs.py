@@ -6,6 +6,7 @@ import pytest
 from tests.models import random_poses
 from training.inputs import (
     fit_joint_angles,
+    fit_local_joints,
     fit_occluders,
     interior_edges,
     moving_joints,
@@ -80,3 +81,16 @@ def test_nearest_occluders_come_first():
 def test_rigs_that_scale_their_joints_apart_are_noticed():
     assert same_scale(random_poses(4, 3, one_scale=True), 3)
     assert not same_scale(random_poses(4, 3), 3)
+
+
+def test_local_joints_look_from_the_dominant_joint_at_the_scale_of_the_scene():
+    """Joint 1 is scaled by four at rest: its reach is a quarter as many of its own units."""
+    rng = np.random.default_rng(2)
+    rest = np.array([0.5, 2.0, 0.5]) * rng.uniform(0, 1, (40, 3))
+    rest[:2] = [[0, 0, 0], [0.5, 2.0, 0.5]]
+    weights = np.eye(2)[np.repeat([0, 1], 20)]
+    pose = np.stack([np.eye(3, 4), 4.0 * np.eye(3, 4)]).ravel()
+    slots = np.stack([np.arange(20, 40), np.arange(20), np.r_[0:15, 20:24, -1]])
+    features = fit_local_joints(slots, rest, weights, pose)
+    assert features.cluster_joint.tolist() == [1, 0, 0]
+    assert np.allclose(features.reach, 0.15 * 2.0 / np.array([4.0, 1.0, 1.0]))

@@ -24,8 +24,10 @@ def run(model, poses):
     return session.run(None, {"pose": poses})[0]
 
 
-@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
-@pytest.mark.parametrize("features", ["joint_angles", "dihedral_angles", "occluders"])
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
+@pytest.mark.parametrize(
+    "features", ["joint_angles", "dihedral_angles", "local_joints", "occluders"]
+)
 @pytest.mark.parametrize("morphs", [0, 2])
 @pytest.mark.parametrize("clamped", [True, False])
 def test_graph_equals_the_numpy_reference(kind, features, morphs, clamped):
@@ -42,11 +44,11 @@ def test_graph_equals_the_numpy_reference(kind, features, morphs, clamped):
             assert np.ptp(run(model, random_poses(2, 5, morphs)), axis=0).max() > 0.1
 
 
-@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("parts", [1, 3])
 @pytest.mark.parametrize("clamped", [True, False])
-@pytest.mark.parametrize("features", ["joint_angles", "occluders"])
+@pytest.mark.parametrize("features", ["joint_angles", "local_joints", "occluders"])
 def test_fewer_bytes_and_more_groups_equal_the_reference(kind, storage, parts, clamped, features):
     model = random_model(kind, features, morphs=2, receivers=900, parts=parts, clamped=clamped)
     model = model.stored_as(storage)
@@ -63,8 +65,8 @@ def test_the_file_shrinks_with_the_storage():
     assert whole - quarter > 0.74 * arrays
 
 
-@pytest.mark.parametrize("features", ["joint_angles", "occluders"])
-@pytest.mark.parametrize("kind", ["linear", "neural"])
+@pytest.mark.parametrize("features", ["joint_angles", "local_joints", "occluders"])
+@pytest.mark.parametrize("kind", ["linear", "quadratic", "neural"])
 @pytest.mark.parametrize(("storage", "parts"), [("float32", 1), ("float32", 3), ("int8", 3)])
 def test_graph_clamps_and_fades_as_the_reference_does(kind, features, storage, parts):
     """Boxes from tiny to all-embracing: far outside, at the edge and inside."""

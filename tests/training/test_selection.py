@@ -3,10 +3,12 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from training.regression import fit_linear
+from training.regression import Fit, fit_linear
 from training.selection import (
     ALPHAS,
+    NEURONS,
     choose_alpha,
+    choose_neurons,
     folds_over_clips,
     folds_over_time,
     validation_loss,
@@ -79,3 +81,27 @@ def test_best_alpha_is_between_too_stiff_and_too_loose():
     y = x @ mix + 0.7 * noise
     lost = [sum(validation_loss(fit_linear, x, y, fold, a) for fold in folds) for a in ALPHAS]
     assert ALPHAS[int(np.argmin(lost))] == alpha
+
+
+def test_neurons_and_alpha_are_where_neither_change_helps():
+    """A valley whose floor runs across both axes: descending once along each would miss it."""
+    targets = torch.ones(1, 20, 1, dtype=torch.float64)
+    folds = folds_over_clips(np.repeat(np.eye(2, dtype=bool), 10, axis=0))
+    calls = []
+
+    def fit(inputs, wanted, neurons, alpha):
+        calls.append((neurons, alpha))
+        row, column = NEURONS.index(neurons), ALPHAS.index(alpha)
+        lost = 0.1 + 0.3 * (row + column - 5.2) ** 2 + 0.05 * (row - column) ** 2
+        bias = torch.full((1, 1), 1.0 - lost, dtype=torch.float64)
+        zero = torch.zeros(1, 2, 1, dtype=torch.float64)
+        return Fit(zero, bias, None, None, bias, bias, [])
+
+    inputs = torch.zeros(1, 20, 2, dtype=torch.float64)
+    neurons, alpha, errors = choose_neurons(fit, inputs, targets, folds)
+    row, column = NEURONS.index(neurons), ALPHAS.index(alpha)
+    for other in ((row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)):
+        if 0 <= other[0] < len(NEURONS) and 0 <= other[1] < len(ALPHAS):
+            pair = NEURONS[other[0]], ALPHAS[other[1]]
+            assert errors[pair] >= errors[neurons, alpha]
+    assert len(calls) == len(folds) * len(errors) < len(folds) * len(NEURONS) * len(ALPHAS)

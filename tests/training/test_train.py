@@ -3,13 +3,16 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import onnxruntime
 import pytest
 
 from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
+from runtime.onnx_model import OnnxModel
 from tests.training.data import memory_dataset
 from training.config import PRESETS, TrainConfig
 from training.monitor import Silent
+from training.onnx_export import build_onnx
 from training.tensorboard import TensorBoard
 from training.train import train
 
@@ -53,10 +56,40 @@ def test_networks_are_averaged_into_one():
     assert model.regressor.hidden_bias.shape == (4, 18)
 
 
-@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+PRIOR = {"near_spheres": 5, "patches": 9, "near_patches": 5, "width": 8, "steps": 300, "codes": 4}
+
+
+@pytest.mark.parametrize("kind", ["hybrid", "shared"])
+@pytest.mark.parametrize("latents", [0, 4])
+def test_priors_from_configuration_to_graph(kind, latents, tmp_path):
+    data = memory_dataset(per_clip=12)
+    config = dataclasses.replace(SMALL, kind=kind, latents=latents, alpha=1e-2, **PRIOR)
+    model = train(data, config)
+    model.save(tmp_path / "m.safetensors")
+    again = VisibilityModel.load(tmp_path / "m.safetensors")
+    poses = data.read("pose", data.training_poses())
+    answer = model(poses)
+    assert np.array_equal(again(poses), answer)
+    truth = data.read("visibility", data.training_poses())
+    signal = np.linalg.norm(truth - truth.mean(axis=0))
+    assert np.linalg.norm(answer - truth) < 0.7 * signal
+    assert np.allclose(model.training_mean, truth.mean(axis=0), atol=1e-5)
+    graph = OnnxModel(build_onnx(model).SerializeToString(), threads=1)
+    assert np.abs(graph(poses) - answer).max() <= 2e-5 * np.abs(answer).max()
+    assert np.array_equal(train(data, config)(poses), answer)
+
+
+def test_priors_want_visibility_in_local_frames():
+    with pytest.raises(PrtnetError, match="local frames only"):
+        dataclasses.replace(SMALL, kind="hybrid", frame="global")
+
+
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
 def test_parts_and_storage_from_configuration_to_file(kind, tmp_path):
     data = memory_dataset()
-    config = dataclasses.replace(SMALL, kind=kind, parts=3, step=1, latents=6, storage="int8")
+    config = dataclasses.replace(
+        SMALL, kind=kind, parts=3, step=1, latents=6, storage="int8", alpha=3e-3
+    )
     model = train(data, config)
     assert (model.parts, model.storage) == (3, "int8")
     assert model.receivers.shape == (12, 5)
@@ -69,6 +102,44 @@ def test_parts_and_storage_from_configuration_to_file(kind, tmp_path):
     assert model.metadata["training_error"]["rms"] == pytest.approx(error, rel=1e-5)
     if kind == "neural":
         assert error < 0.7 * np.linalg.norm(truth - truth.mean(axis=0)) / np.linalg.norm(truth)
+
+
+@pytest.mark.parametrize("clustering", ["weights", "signal"])
+@pytest.mark.parametrize("features", ["joint_angles", "local_joints"])
+def test_options_of_all_sorts_together(clustering, features):
+    """Squares, smoothness, clusterings, groups and 8 bits in one model and its graph."""
+    data = memory_dataset()
+    config = dataclasses.replace(
+        SMALL, kind="quadratic", features=features, smoothness=0.1, clustering=clustering,
+        parts=3, step=1, latents=6, storage="int8", alpha=1e-3, leading=3,
+    )  # fmt: skip
+    model = train(data, config)
+    assert model.receivers.shape == (12, 5)
+    assert model.input_low is not None
+    rows = data.training_poses()
+    poses, truth = data.read("pose", rows), data.read("visibility", rows)
+    expected = model(poses)
+    assert ((expected - truth) ** 2).sum() < 0.9 * ((truth - truth.mean(axis=0)) ** 2).sum()
+    session = onnxruntime.InferenceSession(
+        build_onnx(model).SerializeToString(), providers=["CPUExecutionProvider"]
+    )
+    got = session.run(None, {"pose": poses})[0]
+    assert np.abs(got - expected).max() <= 1e-5 * np.abs(expected).max()
+
+
+def test_the_number_of_neurons_can_be_left_open():
+    data = memory_dataset()
+    config = dataclasses.replace(SMALL, features="joint_angles", neurons="auto", iterations=10)
+    model = train(data, config)
+    assert model.regressor.weight.shape[1] in (8, 16, 32, 64)
+    tried = model.metadata["cross_validation"]
+    assert f"{model.regressor.weight.shape[1]} neurons, {model.metadata['alpha']:g}" in tried
+    assert min(tried.values()) == min(
+        e for name, e in tried.items() if name.startswith(f"{model.regressor.weight.shape[1]} ")
+    )
+    fixed = train(data, dataclasses.replace(config, alpha=0.02))
+    assert fixed.metadata["alpha"] == 0.02
+    assert {name.partition(", ")[2] for name in fixed.metadata["cross_validation"]} == {"0.02"}
 
 
 def test_constant_kind_predicts_the_training_mean():
