@@ -61,7 +61,7 @@ class TrainOptions:
 
     dataset: Positional[Path]  # from prtnet generate
     out: Path  # model to write, a .safetensors file
-    preset: str = "default"  # the options' values to start from: default, small, fast, large, paper
+    preset: str = "default"  # where options start: default, small, fast, large, best, tiny, paper
     log_dir: Path | None = None  # write TensorBoard scalars and histograms into this folder
     threads: int | None = None  # CPU threads; all cores when not given
 

@@ -180,6 +180,24 @@ def test_export(work: Path, tmp_path: Path) -> None:
     assert json.loads((folder / "model.json").read_text())["storage"] == "int8"
 
 
+@pytest.mark.parametrize("kind", ["hybrid", "shared"])
+def test_models_that_look_around_every_receiver(kind: str, work: Path, tmp_path: Path) -> None:
+    out, report = tmp_path / "m.safetensors", tmp_path / "errors.json"
+    effort = ("--steps", "200", "--samples", "20000", "--latents", "2", "--clusters", "5")
+    options = ("--kind", kind, "--storage", "int8", "--alpha", "0.01", *effort, "--quiet")
+    prtnet("train", work / "arm.zarr", "--out", out, *options)
+    prtnet("evaluate", out, work / "arm.zarr", "--json", report, "--quiet")
+    errors = json.loads(report.read_text())
+    assert errors["rms"] < errors["signal"]
+    assert errors["pca_floor"] <= errors["rms"]
+    folder = tmp_path / "export"
+    prtnet("export", out, "--out", folder, "--quiet")
+    assert {file.name for file in folder.iterdir()} == {"model.onnx", "model.json", "README.md"}
+    assert "what surrounds every receiver" in (folder / "README.md").read_text()
+    picture = ("--out", tmp_path / "frame.png", "--size", "40x40", "--renderer", "cpu", "--quiet")
+    prtnet("render", out, work / "arm.glb", *picture)
+
+
 def test_export_of_a_point_cache_model_says_so(work: Path, tmp_path: Path) -> None:
     from training.export import export_folder
 

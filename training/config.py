@@ -133,6 +133,8 @@ PRESETS: dict[str, TrainConfig] = {
     "small": TrainConfig(clusters=32, neurons=16, latents=6, points=3, near=24, spheres=64),
     "fast": TrainConfig(parts=8, latents=32),
     "large": TrainConfig(neurons=32, networks=3, latents=48, points=8, near=64, spheres=240),
+    "best": TrainConfig(kind="shared", latents=14, width=256, steps=8000, samples=3_000_000),
+    "tiny": TrainConfig(kind="hybrid", latents=0, storage="int8"),
     "paper": TrainConfig(
         features="joint_angles", latents=1e9, output_variance=0.95, input_variance=0.9
     ),

@@ -84,6 +84,11 @@ POSES = {
 }
 
 
+WITH_PRIOR = """\
+**On the GPU.** This model looks at what surrounds every receiver (a prior by {prior}), which
+latents alone do not tell: `model.onnx` has it all, and there are no tables for a shader."""
+
+
 def export_folder(model: VisibilityModel, out: Path) -> dict[str, int]:
     """Write the graphs, the GPU's tables, ``model.json`` and ``README.md``, replacing the folder.
 
@@ -103,13 +108,15 @@ def export_folder(model: VisibilityModel, out: Path) -> dict[str, int]:
         "storage": model.storage,
         "latents": int(model.latents.sum()),
     }
-    tables = gpu_tables(model)
+    tables = None if model.prior is not None else gpu_tables(model)
+    facts["prior"] = None if model.prior is None else model.prior.kind
     with writing(out) as partial:
         partial.mkdir()
         export_onnx(model, partial / "model.onnx")
-        if facts["latents"]:
-            export_latent_onnx(model, tables.latent_scale, partial / "latent.onnx")
-        write_gpu_tables(tables, partial)
+        if tables is not None:
+            if facts["latents"]:
+                export_latent_onnx(model, tables.latent_scale, partial / "latent.onnx")
+            write_gpu_tables(tables, partial)
         (partial / "README.md").write_text(readme(facts), encoding="utf-8")
         facts["rest_tangents"] = model.rest_tangents.tolist()
         (partial / "model.json").write_text(json.dumps(facts) + "\n", encoding="utf-8")
@@ -120,6 +127,8 @@ def readme(facts: dict[str, Any]) -> str:
     """What the engine programmer reads."""
     coefficients = facts["order"] ** 2
     gpu = GPU if facts["latents"] else CONSTANT
+    if facts["prior"] is not None:
+        gpu = WITH_PRIOR
     gpu = gpu.format(
         **facts, width=WIDTH, texels=-(-coefficients // 4), bits=COUNT_BITS,
         rows=FORMATS[facts["storage"]],
