@@ -65,6 +65,9 @@ def robot() -> None:
         row("neural, joint angles", data, papers),
         row("linear, occluders", data, dataclasses.replace(base, kind="linear")),
         row("neural, occluders", data, base),
+        row("hybrid", data, dataclasses.replace(base, kind="hybrid")),
+        row("shared", data, dataclasses.replace(base, kind="shared")),
+        row("preset tiny", data, dataclasses.replace(PRESETS["tiny"], clusters=16)),
     ]
     publish("robot", COLUMNS, rows)
 
@@ -89,6 +92,8 @@ def human() -> None:
         ("preset small", PRESETS["small"]),
         ("preset fast", PRESETS["fast"]),
         ("preset large", PRESETS["large"]),
+        ("preset tiny", PRESETS["tiny"]),
+        ("preset best", PRESETS["best"]),
     ):
         rows.append(row(f"clips and 600 sampled poses: {name}", sampled, config))
     publish("human", COLUMNS, rows)

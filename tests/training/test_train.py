@@ -76,7 +76,7 @@ def test_priors_from_configuration_to_graph(kind, latents, tmp_path):
     assert np.linalg.norm(answer - truth) < (0.7 if latents else 0.95) * signal
     assert np.allclose(model.training_mean, truth.mean(axis=0), atol=1e-5)
     graph = OnnxModel(build_onnx(model).SerializeToString(), threads=1)
-    assert np.abs(graph(poses) - answer).max() <= 2e-5 * np.abs(answer).max()
+    assert np.linalg.norm(graph(poses) - answer) <= 1e-5 * np.linalg.norm(answer)
     assert np.array_equal(train(data, config)(poses), answer)
 
 
