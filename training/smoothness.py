@@ -16,9 +16,11 @@ from prtnet.arrays import FloatArray, IntArray
 
 __all__ = ["change_covariance", "consecutive"]
 
+GAP = 2.01  # steps so many times longer than usual have something held out in between
+
 
 def consecutive(clip: IntArray, time: FloatArray, without: int | None = None) -> IntArray:
-    """Pairs (2, S) of rows that follow each other in one clip.
+    """Pairs (2, S) of rows that follow each other in one clip, and in time: not over a gap.
 
     Args:
         clip: each row's clip, (P,).
@@ -29,7 +31,10 @@ def consecutive(clip: IntArray, time: FloatArray, without: int | None = None) ->
     same = clip[order[1:]] == clip[order[:-1]]
     if without is not None:
         same &= clip[order[1:]] != without
-    return np.stack([order[:-1][same], order[1:][same]])
+    before, after = order[:-1][same], order[1:][same]
+    step = time[after] - time[before]
+    near = step <= GAP * np.median(step) if len(step) else step < 0
+    return np.stack([before[near], after[near]])
 
 
 def change_covariance(inputs: Tensor, steps: IntArray) -> Tensor:

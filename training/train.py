@@ -56,13 +56,13 @@ class Prepared:
         inputs: reduced inputs, for a quadratic model with their products, (C, P, K).
         targets: (C, P, L).
         products: how the products were made; only for a quadratic model.
-        prior: quadratic form of the weights of linear and quadratic models, (C, K, K), if any.
+        smoothness: quadratic form of linear and quadratic models' weights, (C, K, K), if any.
     """
 
     inputs: Tensor
     targets: Tensor
     products: Products | None = None
-    prior: Tensor | None = None
+    smoothness: Tensor | None = None
 
 
 def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None) -> VisibilityModel:
@@ -105,7 +105,7 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     inputs = (np.swapaxes(values, 0, 1) - mean[:, None]) @ basis
     inputs = np.broadcast_to(inputs, (len(slots), *inputs.shape[1:]))
     data = to_device(inputs, side_by_side(output.targets, config.parts), config.device)
-    data = with_products_and_prior(data, dataset, rows, config)
+    data = with_products_and_smoothness(data, dataset, rows, config)
 
     folds = cross_validation_folds(dataset, rows)
     neurons, alpha, trials = select(data, config, folds, watch)
@@ -193,7 +193,7 @@ def to_device(inputs: FloatArray, targets: FloatArray, device: str) -> Prepared:
     return Prepared(x, t)
 
 
-def with_products_and_prior(
+def with_products_and_smoothness(
     data: Prepared, dataset: Dataset, rows: IntArray, config: TrainConfig
 ) -> Prepared:
     """What quadratic models and the prior of smoothness add."""
@@ -204,8 +204,8 @@ def with_products_and_prior(
         names = dataset.clip_names
         sampled = names.index(SAMPLED) if SAMPLED in names else None
         steps = consecutive(dataset.read("clip", rows), dataset.read("time", rows), sampled)
-        prior = config.smoothness * change_covariance(data.inputs, steps)
-        data = dataclasses.replace(data, prior=prior)
+        smoothness = config.smoothness * change_covariance(data.inputs, steps)
+        data = dataclasses.replace(data, smoothness=smoothness)
     return data
 
 
@@ -227,7 +227,7 @@ def select(
 
     def trial(inputs: Tensor, targets: Tensor, alpha: float) -> Fit:
         if not neural:
-            return fit_linear(inputs, targets, alpha, data.prior)
+            return fit_linear(inputs, targets, alpha, data.smoothness)
         return network(inputs, targets, neurons, alpha)
 
     def show(alpha: float, error: float) -> None:
@@ -249,7 +249,7 @@ def fit(
 ) -> list[Fit]:
     """The final fits: one, or several networks from different starts."""
     if config.kind not in NEURAL or data.targets.shape[2] == 0:
-        return [fit_linear(data.inputs, data.targets, alpha, data.prior)]
+        return [fit_linear(data.inputs, data.targets, alpha, data.smoothness)]
     fits = []
     limit = total_iterations(config.iterations, config.restarts)
     for network in range(config.networks):

@@ -19,6 +19,13 @@ def test_steps_follow_time_inside_one_clip():
     assert consecutive(clip, time, without=2).T.tolist() == [[1, 3], [2, 0], [0, 6]]
 
 
+def test_a_gap_in_time_is_no_step():
+    """Where part of a clip is held out, what is before and after it do not follow each other."""
+    time = np.array([0.0, 0.1, 0.2, 2.2, 2.3])
+    assert consecutive(np.zeros(5), time).T.tolist() == [[0, 1], [1, 2], [3, 4]]
+    assert consecutive(np.arange(3), np.zeros(3)).shape == (2, 0)
+
+
 def test_the_prior_is_the_mean_squared_step_of_the_prediction():
     generator = torch.Generator().manual_seed(0)
     x = torch.randn(2, 9, 4, generator=generator, dtype=torch.float64)
