@@ -8,12 +8,10 @@ from typing import Any
 
 from prtnet import sh
 from prtnet.occluders import cap_integral_rows
-from prtnet.surroundings import SOFTEST
+from prtnet.surroundings import SMALLEST, SOFTEST
 from training.onnx_expression import Value
 
 __all__ = ["cap_sum_nodes", "cross", "dot", "unit"]
-
-SMALLEST = 1e-12
 
 
 def cap_sum_nodes(

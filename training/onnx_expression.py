@@ -71,10 +71,6 @@ class Value:
         """Divide."""
         return self._binary("Div", self, other)
 
-    def __rtruediv__(self, other: Any) -> Value:
-        """Divide something else."""
-        return self._binary("Div", other, self)
-
     def sqrt(self) -> Value:
         """Square root."""
         return Value(self.graph, self.graph.node("Sqrt", self.name))

@@ -12,7 +12,8 @@ import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.skin_surroundings import SkinSurroundings
-from training.onnx_caps import SMALLEST, cap_sum_nodes, cross, dot, unit
+from prtnet.surroundings import SMALLEST
+from training.onnx_caps import cap_sum_nodes, cross, dot, unit
 from training.onnx_expression import Value
 from training.onnx_graph import GraphBuilder
 

@@ -22,20 +22,12 @@ class Samples:
     Attributes:
         features: what the receiver sees, (N, F) float32.
         deviation: of its visibility from the training mean, (N, n²) float32.
-        receiver, pose: (N,); the pose by its row among the training poses.
+        receiver: (N,).
     """
 
     features: FloatArray
     deviation: FloatArray
     receiver: IntArray
-    pose: IntArray
-
-    def of(self, rows: IntArray) -> Samples:
-        """Those of some poses, by their row among the training poses."""
-        kept = np.isin(self.pose, rows)
-        return Samples(
-            self.features[kept], self.deviation[kept], self.receiver[kept], self.pose[kept]
-        )
 
 
 def draw_samples(
@@ -72,4 +64,4 @@ def draw_samples(
             parts.append(part)
             progress(done, len(poses))
     own, seen, deviation = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Samples(seen, deviation, own, np.repeat(np.arange(len(poses)), each))
+    return Samples(seen, deviation, own)
