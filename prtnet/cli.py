@@ -1,7 +1,7 @@
 """The command line: one function a command, thin over the packages it drives.
 
-This module, and ``cli_report`` for the one command that is long, may import ``data_gen``,
-``training`` and ``runtime``, inside the commands: ``prtnet --help`` answers at once.
+This module, ``cli_train`` and ``cli_report`` may import ``data_gen``, ``training`` and
+``runtime``, inside the commands: ``prtnet --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -194,37 +194,37 @@ def train(argv: Sequence[str]) -> None:
     """Fit a model to a dataset."""
     from prtnet.cli_arguments import check_output, input_file, value_of
     from prtnet.cli_options import TrainOptions
+    from training.budget import Budget
     from training.config import PRESETS
 
     preset = value_of("--preset", argv) or "default"
     if preset not in PRESETS:
         raise PrtnetError("--preset", f"'{preset}' is none; {nearest_name(preset, PRESETS)}")
     options, config, session = arguments("train", argv, TrainOptions, PRESETS[preset])
+    budget = Budget(options.max_error, options.max_ms, options.max_mb)
     check_output(options.out, input_file(options.dataset, folder=True))
 
     import torch
 
+    from prtnet.cli_train import fitting, summary
     from prtnet.console import StageMonitor, in_per_cent
     from prtnet.dataset import Dataset
-    from training.train import train as fit
 
     torch.set_num_threads(threads(options.threads))
     with session.console.progress() as report:
         monitor = StageMonitor(report)
         dataset = Dataset.open(options.dataset)
+        fit = fitting(dataset, config, budget, threads(options.threads))
         if options.log_dir is None:
-            model = fit(dataset, config, monitor)
+            model = fit(monitor)
         else:
             from training.tensorboard import TensorBoard
 
             with TensorBoard(options.log_dir, monitor) as watched:
-                model = fit(dataset, config, watched)
+                model = fit(watched)
     model.save(options.out)
     results = {"out": options.out, "model_bytes": options.out.stat().st_size, **model.metadata}
-    errors = {name: results[name] for name in ("training_error", "held_out_error")
-              if name in results}  # fmt: skip
-    shown = {"out": options.out, "model_bytes": results["model_bytes"], "errors": errors}
-    session.finish(results, in_per_cent(shown))
+    session.finish(results, in_per_cent(summary(results)))
 
 
 def evaluate(argv: Sequence[str]) -> None:

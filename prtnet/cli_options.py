@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional
+from tyro.constructors import PrimitiveConstructorSpec
 
 from prtnet.errors import PrtnetError
 from prtnet.storage import Storage
@@ -29,6 +30,28 @@ def at_least(option: str, value: float | None, least: float) -> None:
     """Refuse a number that is too small, or none."""
     if value is not None and not (value >= least and math.isfinite(value)):
         raise PrtnetError(option, f"is {value:g}; it must be a number, at least {least:g}")
+
+
+def fraction_of(text: str) -> float:
+    """The number in ``5%`` or ``0.05``."""
+    number, sign, rest = text.partition("%")
+    value = float(number)
+    if rest.strip():
+        raise ValueError(f"'{text}' is no number")
+    return value / 100 if sign else value
+
+
+Fraction = Annotated[
+    float,
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="E",
+        instance_from_str=lambda words: fraction_of(words[0]),
+        is_instance=lambda value: isinstance(value, float),
+        str_from_instance=lambda value: [f"{100 * value:g}%"],
+    ),
+]
+"""A fraction that may be written in per cent."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +85,9 @@ class TrainOptions:
     dataset: Positional[Path]  # from prtnet generate
     out: Path  # model to write, a .safetensors file
     preset: str = "default"  # where options start: default, small, fast, large, best, tiny, paper
+    max_error: Fraction | None = None  # find the smallest model expected to err less: 5% or 0.05
+    max_ms: float | None = None  # find the best model that is this fast: milliseconds a pose
+    max_mb: float | None = None  # find the best model that is this small: megabytes of ONNX
     log_dir: Path | None = None  # write TensorBoard scalars and histograms into this folder
     threads: int | None = None  # CPU threads; all cores when not given
 
@@ -130,7 +156,7 @@ class ReportOptions:
 
     dataset: Positional[Path]  # from prtnet generate
     out: Path  # page to write, .html
-    quick: bool = False  # the smallest model of every family only
+    quick: bool = False  # the smallest of every family that fits in seconds
     light: str = "studio"  # of the pictures: a Radiance .hdr file or the name of a preset
     renderer: Literal["gl", "cpu"] | None = None  # OpenGL or NumPy; OpenGL where there is one
     device: str = "cpu"  # where torch fits: cpu, or cuda

@@ -1,6 +1,6 @@
 """Small charts as hand-written SVG, to stand inside an HTML page without a script.
 
-Colours are classes (``s0`` … ``s5``, ``axis``, ``grid``, ``front``), set by the page's style sheet
+Colours are classes (``s0`` … ``s7``, ``axis``, ``grid``, ``front``), set by the page's style sheet
 for light and dark; every series has a marker of its own besides, so that colour is never needed.
 """
 
@@ -18,7 +18,7 @@ __all__ = ["Axis", "Reference", "Series", "legend", "marker", "scatter"]
 
 WIDTH, HEIGHT = 480, 360
 LEFT, RIGHT, TOP, BOTTOM = 62, 20, 14, 54  # margins around the plot
-SERIES = 6  # colours and markers, then they come round again
+SERIES = 8  # colours and markers, then they come round again
 MOST_TICKS = 7
 LOG_STEPS = (
     (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8),
@@ -106,7 +106,7 @@ def scatter(
     """A chart of points.
 
     Args:
-        series: at most six are told apart by colour and marker.
+        series: at most eight are told apart by colour and marker.
         x: the horizontal axis.
         y: the vertical axis.
         description: what the chart shows, for readers who do not see it.
@@ -199,7 +199,7 @@ def text(x: float, y: float, words: str, anchor: str) -> str:
 
 
 def marker(kind: int, x: float, y: float, size: float = 5.5) -> str:
-    """One of six shapes about a point."""
+    """One of eight shapes about a point."""
     if kind == 0:
         return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{size:.1f}"/>'
     if kind == 1:
@@ -214,6 +214,8 @@ def marker(kind: int, x: float, y: float, size: float = 5.5) -> str:
         4: [(0.0, 1.3), (1.2, -0.9), (-1.2, -0.9)],
         5: [(-1.2, -0.4), (-0.4, -0.4), (-0.4, -1.2), (0.4, -1.2), (0.4, -0.4), (1.2, -0.4),
             (1.2, 0.4), (0.4, 0.4), (0.4, 1.2), (-0.4, 1.2), (-0.4, 0.4), (-1.2, 0.4)],
+        6: [(1.3, 0.0), (-0.9, 1.2), (-0.9, -1.2)],
+        7: [(-1.3, -0.5), (1.3, -0.5), (1.3, 0.5), (-1.3, 0.5)],
     }  # fmt: skip
     corners = " ".join(f"{x + a * size:.1f},{y + b * size:.1f}" for a, b in shapes[kind])
     return f'<polygon points="{corners}"/>'

@@ -12,11 +12,11 @@ STYLE = """\
 :root { color-scheme: light dark;
   --paper: #fbfbfa; --ink: #1d1f23; --quiet: #5c6068; --rule: #d9dadd; --card: #ffffff;
   --mark: #e8f1fb; --c0: #0064a8; --c1: #c04f00; --c2: #007a58; --c3: #a8487f; --c4: #8a6a00;
-  --c5: #2c7fb0; }
+  --c5: #2c7fb0; --c6: #7a4fb5; --c7: #5f6b78; }
 @media (prefers-color-scheme: dark) { :root {
   --paper: #16171a; --ink: #e9eaec; --quiet: #a3a7af; --rule: #3a3d43; --card: #1e2024;
   --mark: #22344a; --c0: #6cb8f0; --c1: #ff9a55; --c2: #3fcf9f; --c3: #e79ac6; --c4: #f0c23c;
-  --c5: #9fd3f5; } }
+  --c5: #9fd3f5; --c6: #c3a6ef; --c7: #b3bfcc; } }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink);
   font: 16px/1.5 system-ui, sans-serif; -webkit-text-size-adjust: 100%; }
@@ -57,6 +57,7 @@ svg .line { fill: none; stroke-width: 1.5; opacity: .7; }
 svg .s0 { fill: var(--c0); stroke: var(--c0); } svg .s1 { fill: var(--c1); stroke: var(--c1); }
 svg .s2 { fill: var(--c2); stroke: var(--c2); } svg .s3 { fill: var(--c3); stroke: var(--c3); }
 svg .s4 { fill: var(--c4); stroke: var(--c4); } svg .s5 { fill: var(--c5); stroke: var(--c5); }
+svg .s6 { fill: var(--c6); stroke: var(--c6); } svg .s7 { fill: var(--c7); stroke: var(--c7); }
 svg g { stroke: none !important; } svg polyline.line { fill: none; }
 .legend { list-style: none; display: flex; flex-wrap: wrap; gap: .2rem 1.1rem; padding: 0;
   margin: .6rem 0; font-size: .875rem; }

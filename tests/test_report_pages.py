@@ -27,7 +27,10 @@ from training.config import PRESETS
 
 VOID = {"meta", "img", "br", "link", "input"}
 IMAGE = "data:image/png;base64,AAAA"
-TINY = dataclasses.replace(PRESETS["small"], latents=3, neurons=4, points=2, iterations=20)
+TINY = dataclasses.replace(
+    PRESETS["small"], latents=3, neurons=4, points=2, iterations=20,
+    patches=8, near_patches=4, near_spheres=4, width=4, codes=2, steps=20, samples=500,
+)  # fmt: skip
 
 
 class Page(HTMLParser):
@@ -83,7 +86,8 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
         data, out = str(folder / f"{name}.zarr"), str(folder / f"{name}.html")
         assert cli.run(["generate", str(folder / "arm.glb"), "--out", data, *effort, *extra]) == 0
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("training.sweep.SIZES", {"small": TINY, "medium": TINY})
+            for sizes in ("SIZES", "AROUND_SIZES"):
+                patch.setattr(f"training.sweep.{sizes}", {"small": TINY, "medium": TINY})
             argv = ["report", data, "--out", out, "--json", str(folder / f"{name}.json")]
             argv += ["--renderer", "cpu", "--threads", "1", "--quiet"]
             assert cli.run(argv + (["--quick"] if name == "seen" else [])) == 0

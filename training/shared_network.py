@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.nn import functional
 
 from prtnet.arrays import FloatArray
 from training.prior_samples import Samples
@@ -98,11 +99,12 @@ def fit_network(
     energy = float(target.square().sum(1).mean()) or 1.0
 
     start = starting_codes(samples, mean, config.codes).astype(np.float32)
-    code = nn.Parameter(torch.from_numpy(start).to(device))
+    code = torch.from_numpy(start).to(device).requires_grad_()
     sizes = [len(shift) + config.codes, *[config.width] * config.depth, target.shape[1]]
-    layers = [made(a, b, generator, device) for a, b in itertools.pairwise(sizes)]
-    layers[-1].weight.data.zero_()
-    inner = [p for layer in layers for p in layer.parameters()]
+    pairs = list(itertools.pairwise(sizes))
+    layers = [made(a, b, generator, device) for a, b in pairs[:-1]]
+    layers.append(made(*pairs[-1], None, device))
+    inner = [p for layer in layers for p in layer]
     groups = [{"params": inner, "weight_decay": config.decay},
               {"params": [code], "weight_decay": 0.0}]  # fmt: skip
     optimiser = torch.optim.AdamW(groups, lr=config.rate)
@@ -110,8 +112,8 @@ def fit_network(
 
     def predict(rows: Tensor) -> Tensor:
         value = torch.cat([(features[rows] - shift) * scale, code[receiver[rows]]], dim=1)
-        for index, layer in enumerate(layers):
-            value = layer(torch.tanh(value) if index else value)
+        for index, (weight, bias) in enumerate(layers):
+            value = functional.linear(torch.tanh(value) if index else value, weight, bias)
         return value
 
     recent = 1.0
@@ -139,12 +141,15 @@ def fit_network(
     return folded(smooth, shift, scale, recent)
 
 
-def made(inputs: int, outputs: int, generator: torch.Generator, device: str) -> nn.Linear:
-    """A layer with weights of variance 1 / inputs, from the generator alone."""
-    layer = nn.Linear(inputs, outputs)
-    layer.weight.data.normal_(0.0, inputs**-0.5, generator=generator)
-    layer.bias.data.zero_()
-    return layer.to(device)
+def made(
+    inputs: int, outputs: int, generator: torch.Generator | None, device: str
+) -> tuple[Tensor, Tensor]:
+    """Weights (outputs, inputs) of variance 1 / inputs, zero without a generator, and biases."""
+    weight = torch.zeros(outputs, inputs)
+    if generator is not None:
+        weight.normal_(0.0, inputs**-0.5, generator=generator)
+    bias = torch.zeros(outputs)
+    return weight.to(device).requires_grad_(), bias.to(device).requires_grad_()
 
 
 def folded(smooth: list[Tensor], shift: Tensor, scale: Tensor, loss: float) -> Layers:

@@ -39,12 +39,22 @@ from training.selection import (
 from training.signal_groups import regroup
 from training.smoothness import change_covariance, consecutive
 
-__all__ = ["train"]
+__all__ = [
+    "AROUND",
+    "Layout",
+    "cross_validation_folds",
+    "fit_model",
+    "report_errors",
+    "train",
+    "training_rows",
+    "with_training_range",
+]
 
 DEFAULT_ALPHA = 3e-3  # where there is too little to cross-validate with
 DEFAULT_NEURONS = 16  # likewise, where the number is to be chosen
 AROUND = ("hybrid", "shared")  # kinds with a prior at every receiver
 NEURAL = ("neural", *AROUND)  # kinds whose clusters have a tanh layer
+JUDGED = 400  # training poses that the training error is of, at most
 TRIAL_ITERATIONS = 60  # cross-validation compares, it need not converge
 
 
@@ -65,6 +75,19 @@ class Prepared:
     smoothness: Tensor | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which receivers a model predicts together.
+
+    Attributes:
+        slots: receivers of each cluster, (C, R), −1 for empty.
+        groups: of each group of a cluster, (C · parts, R'), likewise.
+    """
+
+    slots: IntArray
+    groups: IntArray
+
+
 def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None) -> VisibilityModel:
     """Fit a clustered model to the training clips of a dataset.
 
@@ -74,27 +97,57 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     """
     watch = monitor or Silent()
     started = time.perf_counter()
+    rows = training_rows(dataset)
+    model, _ = fit_model(dataset, rows, config, cross_validation_folds(dataset, rows), watch)
+    report_errors(model, dataset, watch)
+    model.metadata["seconds"]["total"] = time.perf_counter() - started
+    return model
+
+
+def training_rows(dataset: Dataset) -> IntArray:
+    """The training poses of a dataset; PrtnetError where there are none."""
     rows = dataset.training_poses()
     if len(rows) == 0:
         raise PrtnetError(dataset.path, "holds no training poses; hold out fewer clips")
+    return rows
+
+
+def fit_model(
+    dataset: Dataset,
+    rows: IntArray,
+    config: TrainConfig,
+    folds: list[Fold],
+    watch: Monitor,
+    layout: Layout | None = None,
+) -> tuple[VisibilityModel, Layout]:
+    """A model of some poses of a dataset, without its errors, and its layout.
+
+    Args:
+        dataset: of the poses.
+        rows: what to fit, (P,).
+        config: how.
+        folds: of ``rows``, to choose weight decay and neurons with.
+        watch: is told how it goes.
+        layout: receivers taken together, where that is settled already.
+
+    Raises:
+        PrtnetError: as :func:`train`.
+    """
     space = OutputSpace(config.frame, config.target)
     visibility, poses = space.read(dataset, rows), dataset.read("pose", rows)
     if not (np.isfinite(visibility).all() and np.isfinite(poses).all()):
         raise PrtnetError(dataset.path, "holds values that are not finite; generate it again")
 
     watch.stage("clusters and components")
-    slots = cluster_receivers(dataset, rows, visibility, config)
+    slots = cluster_receivers(dataset, rows, visibility, config) if layout is None else layout.slots
     prior, signal = None, None
     if config.kind in AROUND:
         signal = visibility.mean(axis=0, dtype=np.float64).astype(np.float32)
         prior = fit_prior(dataset, poses, visibility, slots, config, watch)
         subtract(prior, poses, visibility, watch)
         watch.stage("components of what is left")
-    latents = 0.0 if config.kind == "constant" else config.latents
-    latents /= config.parts
-    coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
-    groups = subdivide(slots, coordinates, config.parts, config.seed)
-    groups = regroup(visibility, groups, config.parts, round(min(latents, len(rows))))
+    latents = 0.0 if config.kind == "constant" else config.latents / config.parts
+    groups = layout.groups if layout else grouped(dataset, visibility, slots, config, latents)
     output = reduce_output(visibility, groups, config.output_variance, latents, config.step)
     del visibility
 
@@ -107,13 +160,11 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     data = to_device(inputs, side_by_side(output.targets, config.parts), config.device)
     data = with_products_and_smoothness(data, dataset, rows, config)
 
-    folds = cross_validation_folds(dataset, rows)
     neurons, alpha, trials = select(data, config, folds, watch)
     watch.stage(f"{config.kind} fit, α = {alpha:g}")
     fit_started = time.perf_counter()
     fits = fit(data, config, neurons, alpha, watch)
     fit_seconds = time.perf_counter() - fit_started
-    result = average(fits)
 
     model = VisibilityModel(
         kind=config.kind,
@@ -121,23 +172,27 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
         features=features,
         input_mean=mean,
         input_basis=basis,
-        regressor=to_regressor(result, data.products, config.parts),
+        regressor=to_regressor(average(fits), data.products, config.parts),
         latents=output.latents.astype(np.int32),
         receivers=groups,
         mean=output.mean,
         basis=np.concatenate(output.basis),
         rest_tangents=dataset.rest_tangents,
-        metadata=describe(dataset, config, features, alpha, trials, fits),
+        metadata=describe(dataset, config, features, alpha, trials, fits)
+        | {"seconds": {"fit": fit_seconds}},
         prior=prior,
         signal=signal,
     ).stored_as(config.storage)
-    model = with_training_range(model, values)
-    report_errors(model, dataset, watch)
-    model.metadata["seconds"] = {
-        "fit": fit_seconds,
-        "total": time.perf_counter() - started,
-    }
-    return model
+    return with_training_range(model, values), Layout(slots, groups)
+
+
+def grouped(
+    dataset: Dataset, visibility: FloatArray, slots: IntArray, config: TrainConfig, latents: float
+) -> IntArray:
+    """The groups of each cluster, (C · parts, R), for visibility (P, V, n²) that is to be kept."""
+    coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
+    groups = subdivide(slots, coordinates, config.parts, config.seed)
+    return regroup(visibility, groups, config.parts, round(min(latents, len(visibility))))
 
 
 def with_training_range(model: VisibilityModel, features: FloatArray) -> VisibilityModel:
@@ -349,10 +404,9 @@ def describe(
 
 def report_errors(model: VisibilityModel, dataset: Dataset, watch: Monitor) -> None:
     """Training and held-out errors by the reference evaluation, into the metadata."""
-    for name, rows in (
-        ("training", dataset.training_poses()),
-        ("held_out", dataset.held_out_poses()),
-    ):
+    known = dataset.training_poses()
+    evenly = np.unique(np.linspace(0, len(known) - 1, min(len(known), JUDGED)).round().astype(int))
+    for name, rows in (("training", known[evenly]), ("held_out", dataset.held_out_poses())):
         if len(rows) == 0:
             continue
         watch.stage(f"{name.replace('_', '-')} error")

@@ -27,7 +27,9 @@ OPTIONS = [
     {"kind": "constant"},
     {"kind": "linear"},  # α by cross-validation
     {"kind": "neural", "alpha": 1e-2, "restarts": 2, "iterations": 5},
-]
+    {"kind": "shared", "alpha": 1e-2, "iterations": 5, "steps": 20, "width": 6, "codes": 3,
+     "patches": 9, "near_patches": 5, "near_spheres": 5, "samples": 300},
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=lambda o: o["kind"])

@@ -1,0 +1,61 @@
+"""The work of ``prtnet train`` that is more than a call: a search within a budget.
+
+Beside ``prtnet.cli``, which it serves, it may import the other packages: a budget of milliseconds
+is measured by the runtime.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from prtnet.dataset import Dataset
+    from prtnet.model import VisibilityModel
+    from training.budget import Budget
+    from training.config import TrainConfig
+    from training.monitor import Monitor
+
+__all__ = ["fitting", "summary"]
+
+
+def fitting(
+    dataset: Dataset, config: TrainConfig, budget: Budget, threads: int
+) -> Callable[[Monitor], VisibilityModel]:
+    """How to fit a model: as configured, or the cheapest within a budget."""
+    if not budget:
+        from training.train import train as fit
+
+        return functools.partial(fit, dataset, config)
+    from runtime.onnx_model import OnnxModel
+    from training.search import search
+
+    pose = dataset.read("pose", slice(1))
+
+    def milliseconds(proto: bytes) -> float:
+        return OnnxModel(proto, threads).milliseconds(pose)
+
+    return functools.partial(search, dataset, config, budget, milliseconds)
+
+
+def summary(results: Mapping[str, Any]) -> dict[str, Any]:
+    """What people are shown of a model that was trained."""
+    errors = {n: results[n] for n in ("training_error", "held_out_error") if n in results}
+    shown = {"out": results["out"], "model_bytes": results["model_bytes"], "errors": errors}
+    if "search" in results:
+        shown |= {"chosen": results["search"]["why"], "compared": compared(results["search"])}
+    return shown
+
+
+def compared(search: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """What a search compared, as a table for people."""
+    return {
+        f"{each['family']}, {each['storage']}": {
+            "expected": f"{100 * each['error']:.2f} %",
+            "MB": f"{each['model_bytes'] / 1e6:.2f}",
+            "ms": "–" if each["ms"] is None else f"{each['ms']:.3f}",
+            "meets": each["meets"],
+        }
+        for each in search["compared"]
+    }

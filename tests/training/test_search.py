@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from prtnet.errors import PrtnetError
+from prtnet.model import VisibilityModel
+from runtime.onnx_model import OnnxModel
+from tests.training.data import memory_dataset
+from training import search as module
+from training.budget import Budget
+from training.config import TrainConfig
+from training.onnx_export import build_onnx
+from training.search import search
+from training.train import train
+
+SMALL = TrainConfig(
+    clusters=3, iterations=30, near_spheres=5, patches=9, near_patches=5, width=8, steps=200,
+    codes=4, samples=2000,
+)  # fmt: skip
+FEW = {"neurons": 6, "points": 2, "near": 6, "spheres": 12}
+
+
+@pytest.fixture(autouse=True)
+def small_families(monkeypatch, request):
+    """The same kinds in the size of these scenes; priors where a test is about them."""
+    families = {
+        name: {**options, **FEW, "networks": 1}
+        for name, options in module.FAMILIES.items()
+        if "priors" in request.node.name or options["kind"] not in ("hybrid", "shared")
+    }
+    monkeypatch.setattr(module, "FAMILIES", families)
+
+
+def by_size(proto: bytes) -> float:
+    """Milliseconds that do not depend on the machine."""
+    return len(proto) / 1e5
+
+
+def found(data, **limits):
+    return search(data, SMALL, Budget(**limits), by_size)
+
+
+def onnx_bytes(model):
+    return len(build_onnx(model).SerializeToString())
+
+
+def scene(**options):
+    return memory_dataset(clips=5, per_clip=12, **options)
+
+
+def test_fewer_megabytes_cost_error_and_are_kept_to():
+    data = scene()
+    whole = found(data, max_mb=10.0)
+    least = min(each["model_bytes"] for each in whole.metadata["search"]["compared"])
+    limit = 0.5e-6 * (least + onnx_bytes(whole)) if least < onnx_bytes(whole) else 0.9e-6 * least
+    model = found(data, max_mb=limit)
+    assert onnx_bytes(model) <= 1e6 * limit
+    chosen = (each.metadata["search"]["chosen"]["error"] for each in (model, whole))
+    assert next(chosen) >= next(chosen)
+
+
+def test_the_expected_error_is_met_on_clips_nobody_saw():
+    data = scene()
+    reached = found(data, max_mb=10.0).metadata["search"]["chosen"]["error"]
+    loose = search(data, SMALL, Budget(max_error=3 * reached), by_size)
+    tight = search(data, SMALL, Budget(max_error=1.05 * reached), by_size)
+    assert loose.metadata["search"]["chosen"]["error"] <= 3 * reached
+    assert tight.metadata["search"]["chosen"]["error"] <= 1.05 * reached
+    assert onnx_bytes(loose) < onnx_bytes(tight)
+    assert loose.metadata["held_out_error"]["rms"] <= 3 * reached
+
+
+def test_priors_are_for_what_nothing_else_meets(monkeypatch):
+    data = scene()
+    easy = found(data, max_error=0.5).metadata["search"]
+    assert {each["family"] for each in easy["compared"]} == {
+        "linear", "neural, small", "neural", "neural, large"
+    }  # fmt: skip
+    small = found(data, max_mb=10.0).metadata["search"]
+    assert {each["family"] for each in small["compared"]} == set(module.FAMILIES)
+
+
+def test_milliseconds_are_kept_to():
+    data = scene()
+    model = search(data, SMALL, Budget(max_ms=0.5), by_size)
+    chosen = model.metadata["search"]["chosen"]
+    assert chosen["ms"] <= 0.5
+    assert chosen["ms"] == pytest.approx(by_size(build_onnx(model).SerializeToString()), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("limits", "option"),
+    [({"max_error": 1e-6}, "--max-error"), ({"max_mb": 1e-5}, "--max-mb"),
+     ({"max_ms": 1e-5}, "--max-ms")],
+)  # fmt: skip
+def test_limits_that_nothing_meets_are_refused(limits, option):
+    with pytest.raises(PrtnetError, match="no model is expected to meet") as caught:
+        found(scene(), **limits)
+    assert caught.value.subject == option
+
+
+def test_the_model_found_is_whole(tmp_path):
+    data = scene()
+    model = found(data, max_error=0.2)
+    assert model.storage == model.metadata["config"]["storage"] in ("int8", "float16")
+    model.save(tmp_path / "m.safetensors")
+    again = VisibilityModel.load(tmp_path / "m.safetensors")
+    poses = data.read("pose", data.training_poses())
+    assert np.array_equal(again(poses), model(poses))
+    graph = OnnxModel(build_onnx(again).SerializeToString(), threads=1)
+    answer = model(poses)
+    assert np.linalg.norm(graph(poses) - answer) <= 1e-5 * np.linalg.norm(answer)
+    assert model.novelty(poses).max() <= 1e-5
+    assert "expected error" in again.metadata["search"]["why"]
+
+
+def test_groups_that_never_change_keep_their_mean_alone():
+    data = scene()
+    visibility = data.read("visibility").copy()
+    visibility[:, :45] = visibility[:1, :45]  # three of four joints
+    still = memory_dataset(poses=data.read("pose"), visibility=visibility, clips=5)
+    config = dataclasses.replace(SMALL, clusters=4)
+    model = search(still, config, Budget(max_error=0.2), by_size)
+    quiet = [bool((own[own >= 0] < 45).all()) for own in model.receivers]
+    assert any(quiet)
+    assert (model.latents[quiet] == 0).all()
+    assert "their mean alone" in model.metadata["search"]["why"]
+
+
+def test_too_few_clips_cannot_judge():
+    with pytest.raises(PrtnetError, match="too few training clips"):
+        found(memory_dataset(clips=1, per_clip=3), max_error=0.1)
+
+
+def test_a_search_says_what_train_does_with_as_many_components():
+    data = scene()
+    model = found(data, max_mb=10.0)
+    config = model.metadata["config"]
+    plain = train(data, TrainConfig(**{**config, "storage": "float32"}))
+    assert model.metadata["held_out_error"]["rms"] < 1.5 * plain.metadata["held_out_error"]["rms"]
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [({"max_error": 5.0}, "5% or 0.05"), ({"max_error": 0.0}, "above 0"),
+     ({"max_ms": float("nan")}, "above 0"), ({"max_mb": -1.0}, "above 0")],
+)  # fmt: skip
+def test_limits_that_make_no_sense(limits, message):
+    with pytest.raises(PrtnetError, match=message):
+        Budget(**limits)
+    assert not Budget()
+    assert Budget(max_mb=1.0)
+    assert dataclasses.replace(Budget(), max_error=0.05).text() == "an error of 5 %"
