@@ -28,6 +28,7 @@ __all__ = [
 
 Storage = Literal["float32", "float16", "int8"]
 STORAGES: tuple[Storage, ...] = get_args(Storage)
+INTEGERS = (np.uint8, np.int16, np.int32)  # that indices are stored in
 MOST = 127  # 8-bit values lie in [−MOST, MOST], as the signed normalised texels of a GPU
 MANTISSA = 2**11  # scales are multiples of a power of two by at most this
 
@@ -111,8 +112,11 @@ def rounded(array: FloatArray, packing: Packing) -> FloatArray:
 
 
 def pack(arrays: Mapping[str, Any], packings: Mapping[str, Packing]) -> dict[str, Any]:
-    """Named arrays for a file: those with a packing stored so, with ``scale.…``, ``offset.…``."""
-    packed = dict(arrays)
+    """Named arrays for a file: those with a packing stored so, with ``scale.…``, ``offset.…``.
+
+    Integers take as many bytes as they need.
+    """
+    packed = {name: narrowest(array) for name, array in arrays.items()}
     for name, packing in packings.items():
         if name in arrays and packing.kind != "float32":
             stored = quantise(arrays[name], packing)
@@ -122,8 +126,19 @@ def pack(arrays: Mapping[str, Any], packings: Mapping[str, Packing]) -> dict[str
     return packed
 
 
+def narrowest(array: Any) -> Any:
+    """Integers in the smallest of uint8, int16 and int32 that holds them; others as they are."""
+    if not np.issubdtype(array.dtype, np.signedinteger) or array.size == 0:
+        return array
+    low, high = array.min(), array.max()
+    for dtype in INTEGERS:
+        if low >= np.iinfo(dtype).min and high <= np.iinfo(dtype).max:
+            return array.astype(dtype)
+    return array
+
+
 def unpack(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """The inverse of :func:`pack`: float32 again, scales and offsets gone.
+    """The inverse of :func:`pack`: float32 and int32 again, scales and offsets gone.
 
     Raises:
         ValueError: a scale or an offset does not fit its array, or belongs to none.
@@ -141,4 +156,6 @@ def unpack(arrays: Mapping[str, Any]) -> dict[str, Any]:
             ):
                 raise ValueError(f"scale.{name} does not fit {name}")
             plain[name] = Stored(plain[name], scale, arrays.get(f"offset.{name}")).array()
+        elif plain[name].dtype in INTEGERS:
+            plain[name] = plain[name].astype(np.int32)
     return plain

@@ -363,7 +363,8 @@ def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
             return model.stored(f"prior.{name}")
 
         prior = prior_nodes(graph, model.prior, stored, model.pose_size)
-    visibility_nodes(graph, model, layer, latent_nodes(graph, model, layer), prior)
+    latents = latent_nodes(graph, model, layer) if model.latents.sum() > 0 else ""
+    visibility_nodes(graph, model, layer, latents, prior)
     shape = [model.receiver_count, model.order**2]
     return graph.model(
         model.pose_size, "visibility", shape, {"prtnet": "visibility", "kind": model.kind}

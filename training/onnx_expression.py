@@ -93,7 +93,7 @@ class Value:
 
     def take(self, index: Any, axis: int) -> Value:
         """Elements along one axis."""
-        table = self.graph.constant(np.asarray(index))
+        table = self.graph.index(np.asarray(index))
         return Value(self.graph, self.graph.node("Gather", self.name, table, axis=axis))
 
     def reshaped(self, *shape: int) -> Value:

@@ -42,6 +42,10 @@ class GraphBuilder:
         dtype = np.int64 if np.issubdtype(value.dtype, np.integer) else np.float32
         return self.initializer(value.astype(dtype)) if dtype is np.int64 else self.real(value)
 
+    def index(self, array: IntArray) -> str:
+        """Indices for Gather: int32 initializer, half the bytes of what shapes are made of."""
+        return self.initializer(np.asarray(array).astype(np.int32))
+
     def real(self, value: FloatArray) -> str:
         """A float32 constant; a large one whose numbers are halves is stored as halves."""
         whole = value.astype(np.float32)

@@ -65,6 +65,9 @@ def visibility_nodes(
     prior: str | None = None,
 ) -> None:  # fmt: skip
     """``visibility`` (P, V, n²) of flat latents (P, C · M), and of a prior's part (P, V, n²)."""
+    if int(model.latents.sum()) == 0:
+        mean_nodes(graph, model, prior)
+        return
     order = np.argsort(model.latents, kind="stable")
     parts = []
     for count in np.unique(model.latents):
@@ -86,6 +89,17 @@ def visibility_nodes(
         return
     own = graph.node("Gather", every, receivers, axis=1)
     graph.node("Add", own, prior, output="visibility")
+
+
+def mean_nodes(graph: GraphBuilder, model: VisibilityModel, prior: str | None) -> None:
+    """``visibility`` (P, V, n²) of a model without latents: its mean, and a prior's part."""
+    means = graph.reshape(graph.stored(model.stored("mean")), [-1, model.order**2])
+    place = graph.index(model.slot_of_receiver)
+    mean = graph.node("Gather", means, place, axis=0)
+    if prior is None:  # something that has as many rows as there are poses, and is zero
+        first = graph.clip(graph.slice("pose", 0, 1, 1), 0.0, 0.0)
+        prior = graph.reshape(first, [-1, 1, 1])
+    graph.node("Add", prior, mean, output="visibility")
 
 
 def row_nodes(graph: GraphBuilder, model: VisibilityModel, groups: IntArray, count: int) -> str:

@@ -2,9 +2,9 @@
 
 Every kind of model is fitted once with more components than any budget keeps, and once without
 each fold of the training clips. What each component brings on the clips that its fold left out
-tells which of them are worth their bytes (:mod:`training.worth`), and what error to expect; held
-out clips are never looked at. A group whose components bring nothing keeps its mean and costs
-nothing else.
+tells which of them are worth their bytes (:mod:`training.worth`), and what error to expect: that
+of the median clip, fitted without it. Held-out clips are never looked at. A group whose components
+bring nothing keeps its mean and costs nothing else.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ RICH_AROUND = 16  # beside a prior, where less is left
 PARTS = 8  # groups a cluster: each keeps what it is worth
 FEWEST = 16  # receivers of a group
 STORAGES: tuple[Storage, ...] = ("int8", "float16")
-JUDGED = 160  # poses of a fold that judge, at most
+JUDGED = 80  # poses of a clip that judge, at most
 FOLDS_AROUND = 2  # priors take minutes to fit
 ROUNDED = 8  # poses that tell what storing costs
 BLOCK = 8
@@ -70,7 +70,7 @@ class Candidate:
     Attributes:
         family: its name.
         model: fitted to all training poses with more components than it will keep.
-        marginal: what its components bring on clips not seen.
+        marginal: what its components bring on each clip left out.
         order: in which they are worth taking.
         rounding: relative squared error that each storage adds.
     """
@@ -82,9 +82,9 @@ class Candidate:
     rounding: dict[Storage, float]
 
     def errors(self, storage: Storage) -> FloatArray:
-        """Expected relative RMS after 0, 1, … steps."""
-        exact = self.marginal.error(np.append(0.0, np.cumsum(self.order.gain)))
-        return np.hypot(exact, np.sqrt(self.rounding[storage]))
+        """Expected relative RMS after 0, 1, … steps: on the median of the clips left out."""
+        exact = self.marginal.errors(self.order.brought(self.marginal.gain))
+        return np.hypot(np.median(exact, axis=1), np.sqrt(self.rounding[storage]))
 
     def cut(self, steps: int, storage: Storage) -> VisibilityModel:
         """The model with the components of so many steps."""
@@ -271,18 +271,22 @@ def judged(
     watch.stage(f"{family}: all training clips")
     model, layout = fit_model(dataset, rows, config, folds, Silent())
     fixed = dataclasses.replace(config, alpha=model.metadata["alpha"])
-    total = None
+    parts = []
     used = folds[:FOLDS_AROUND] if config.kind in AROUND else folds
     for number, fold in enumerate(used, start=1):
         watch.stage(f"{family}: fold {number} of {len(used)}")
         part, _ = fit_model(dataset, rows[fold.train], fixed, [], Silent(), layout)
-        own = marginal(part, some_poses(dataset, rows[fold.validate]))
-        total = own if total is None else total + own
-    assert total is not None
-    width = int(model.latents.max(initial=0))
-    gain = np.zeros((len(model.latents), max(width, total.gain.shape[1])))
-    gain[:, : total.gain.shape[1]] = total.gain
-    order = front(gain, model.latents, base_step(config))
+        left_out = rows[fold.validate]
+        clip = dataset.clip[left_out]
+        parts += [
+            marginal(part, some_poses(dataset, left_out[clip == own])) for own in np.unique(clip)
+        ]
+    total = Marginal.joined(parts)
+    width = int(model.latents.max(initial=0)) - total.gain.shape[2]
+    total = dataclasses.replace(
+        total, gain=np.pad(total.gain, ((0, 0), (0, 0), (0, max(0, width))))
+    )
+    order = front(total.votes(), model.latents, base_step(config))
     poses = dataset.read("pose", rows[:: max(1, len(rows) // ROUNDED)][:ROUNDED])
     answer = model(poses)
     rounding = {
@@ -309,7 +313,7 @@ def some_poses(dataset: Dataset, rows: IntArray) -> Iterator[tuple[FloatArray, F
 def sized(
     candidate: Candidate, storage: Storage, budget: Budget, milliseconds: Callable[[bytes], float]
 ) -> Choice:
-    """The candidate at its best size: the smallest that errs little enough, or the largest."""
+    """The candidate at its best size: the smallest that errs little enough, or the best."""
 
     def measured(steps: int) -> tuple[int, float | None]:
         proto = build_onnx(candidate.cut(steps, storage)).SerializeToString()
@@ -320,16 +324,20 @@ def sized(
         return small and (budget.max_ms is None or ms is None or ms <= budget.max_ms)
 
     errors = candidate.errors(storage)
-    wanted = len(candidate.order)
-    if budget.max_error is not None and errors.min() <= budget.max_error:
-        wanted = int(np.argmax(errors <= budget.max_error))
+
+    def goal(most: int) -> int:
+        """The first of small enough error among so many steps, or the one of least."""
+        enough = errors[: most + 1] <= (budget.max_error or 0.0)
+        return int(np.argmax(enough) if enough.any() else np.argmin(errors[: most + 1]))
+
+    wanted = goal(len(candidate.order))
     size, ms = measured(wanted)
     if not allowed(size, ms):
         low, high = 0, wanted  # `high` is too much
         while high - low > max(1, len(candidate.order) // RESOLUTION):
             middle = (low + high) // 2
             low, high = (middle, high) if allowed(*measured(middle)) else (low, middle)
-        wanted = low
+        wanted = goal(low)
         size, ms = measured(wanted)
     error = float(errors[wanted])
     meets = allowed(size, ms) and (budget.max_error is None or error <= budget.max_error)

@@ -273,7 +273,9 @@ def select(
     sized = config.neurons != "auto" or not neural
     if sized and config.alpha is not None:
         return neurons, config.alpha, {}
-    if config.kind == "constant" or len(folds) < 2 or data.targets.shape[2] == 0:
+    # What a prior leaves of clips that it was fitted to says little about others.
+    unfit = config.kind == "constant" or config.kind in AROUND
+    if unfit or len(folds) < 2 or data.targets.shape[2] == 0:
         return neurons, DEFAULT_ALPHA if config.alpha is None else config.alpha, {}
     watch.stage(f"cross-validation, {len(folds)} folds")
 

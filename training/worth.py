@@ -10,9 +10,8 @@ model of every error, and the least error of every size.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -24,34 +23,44 @@ __all__ = ["Front", "Marginal", "front", "marginal", "truncated"]
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
-    """What the components of a model bring on poses that it has not seen.
+    """What the components of a model bring on M sets of poses that it has not seen.
 
     Attributes:
-        energy: Σ‖v‖² of the poses' visibility.
-        base: Σ‖error‖² of the model without components.
-        gain: by how much each component lowers that, (G, L).
+        energy: Σ‖v‖² of each set's visibility, (M,).
+        base: Σ‖error‖² of the model without components, (M,).
+        gain: by how much each component lowers that, (M, G, L).
     """
 
-    energy: float
-    base: float
+    energy: FloatArray
+    base: FloatArray
     gain: FloatArray
 
-    def __add__(self, other: Marginal) -> Marginal:
-        """Of both sets of poses; a component that one of them lacks brings nothing there."""
-        width = max(self.gain.shape[1], other.gain.shape[1])
-        gain = np.zeros((len(self.gain), width))
-        for part in (self, other):
-            gain[:, : part.gain.shape[1]] += part.gain
-        return Marginal(self.energy + other.energy, self.base + other.base, gain)
+    @staticmethod
+    def joined(parts: Sequence[Marginal]) -> Marginal:
+        """The sets of all; a component that some lack brings nothing there."""
+        width = max(part.gain.shape[2] for part in parts)
+        padded = [
+            np.pad(part.gain, ((0, 0), (0, 0), (0, width - part.gain.shape[2]))) for part in parts
+        ]
+        return Marginal(
+            np.concatenate([part.energy for part in parts]),
+            np.concatenate([part.base for part in parts]),
+            np.concatenate(padded),
+        )
 
-    def error(self, gain: FloatArray | float) -> Any:
-        """Relative RMS of a model whose components bring so much, (...)."""
-        left = np.maximum(self.base - np.asarray(gain), 0.0)
-        return np.sqrt(left / max(self.energy, 1e-30))
+    def votes(self) -> FloatArray:
+        """What components are worth, (G, L): every set counts the same, whatever its error."""
+        share = self.gain / np.maximum(self.base, 1e-30)[:, None, None]
+        return share.mean(axis=0)
+
+    def errors(self, brought: FloatArray) -> FloatArray:
+        """Relative RMS (..., M) of models whose components bring so much, (..., M)."""
+        left = np.maximum(self.base - brought, 0.0)
+        return np.sqrt(left / np.maximum(self.energy, 1e-30))
 
 
 def marginal(model: VisibilityModel, blocks: Iterable[tuple[FloatArray, FloatArray]]) -> Marginal:
-    """What each component of a model brings.
+    """What each component of a model brings on one set of poses.
 
     Args:
         model: in float32: rounded components are not orthonormal.
@@ -66,7 +75,7 @@ def marginal(model: VisibilityModel, blocks: Iterable[tuple[FloatArray, FloatArr
         gain += np.sum(known**2 - (known - predicted) ** 2, axis=0)
         energy += float(np.sum(np.square(truth), dtype=np.float64))
         base += float(np.sum(np.square(left - mean), dtype=np.float64))
-    return Marginal(energy, base, gain)
+    return Marginal(np.array([energy]), np.array([base]), gain[None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +84,13 @@ class Front:
 
     Attributes:
         group: whose components each step takes, (S,).
-        upto: how many that group then has, (S,).
-        gain: what each step brings, (S,).
+        first, upto: from which of the group's components to before which, (S,).
         groups: G.
     """
 
     group: IntArray
+    first: IntArray
     upto: IntArray
-    gain: FloatArray
     groups: int
 
     def __len__(self) -> int:
@@ -95,21 +103,27 @@ class Front:
         np.maximum.at(counts, self.group[:steps], self.upto[:steps])
         return counts
 
+    def brought(self, gain: FloatArray) -> FloatArray:
+        """What the components taken bring after 0, 1, … steps, (S + 1, M), of gains (M, G, L)."""
+        total = np.concatenate([np.zeros((*gain.shape[:2], 1)), np.cumsum(gain, axis=2)], axis=2)
+        each = total[:, self.group, self.upto] - total[:, self.group, self.first]
+        return np.concatenate([np.zeros((1, len(gain))), np.cumsum(each, axis=1).T])
 
-def front(gain: FloatArray, latents: IntArray, step: int) -> Front:
-    """The order of worth; what brings nothing is left out.
+
+def front(worth: FloatArray, latents: IntArray, step: int) -> Front:
+    """The order of worth; what is worth nothing is left out.
 
     Args:
-        gain: of each component, (G, L). All cost equally many bytes.
+        worth: of each component, (G, L). All cost equally many bytes.
         latents: how many each group has at most, (G,).
         step: a group has a multiple of so many components, or all it can have.
     """
     steps = []
-    for index, (own, most) in enumerate(zip(gain, latents, strict=True)):
+    for index, (own, most) in enumerate(zip(worth, latents, strict=True)):
         ends = np.append(np.arange(step, most, step), most) if most > 0 else np.zeros(0, int)
         total = np.concatenate([[0.0], np.cumsum(own)])
         at = 0
-        while True:  # the concave hull of the cumulated gain: the steepest way on, again and again
+        while True:  # the concave hull of the cumulated worth: the steepest way on, again and again
             further = ends[ends > at]
             if len(further) == 0:
                 break
@@ -117,12 +131,11 @@ def front(gain: FloatArray, latents: IntArray, step: int) -> Front:
             best = int(np.argmax(slopes))
             if not slopes[best] > 0:
                 break
-            end = int(further[best])
-            steps.append((-float(slopes[best]), index, end, float(total[end] - total[at])))
-            at = end
+            steps.append((-float(slopes[best]), index, at, int(further[best])))
+            at = int(further[best])
     steps.sort()
-    table = np.array([step[1:3] for step in steps], dtype=np.int64).reshape(-1, 2)
-    return Front(table[:, 0], table[:, 1], np.array([step[3] for step in steps]), len(gain))
+    table = np.array([step[1:] for step in steps], dtype=np.int64).reshape(-1, 3)
+    return Front(table[:, 0], table[:, 1], table[:, 2], len(worth))
 
 
 def truncated(model: VisibilityModel, counts: IntArray) -> VisibilityModel:
