@@ -1,9 +1,9 @@
 """The cheapest model that meets its limits: only what the scene needs.
 
 Every kind of model is fitted once with more components than any budget keeps, and once without
-each fold of the training clips. What each component brings on the clips that its fold left out
-tells which of them are worth their bytes (:mod:`training.worth`), and what error to expect: that
-of the median clip, fitted without it. Held-out clips are never looked at. A group whose components
+each fold: a quarter of every training clip in turn. What each component brings on what its fold left
+out tells which of them are worth their bytes (:mod:`training.worth`), and what error to expect:
+that of the median part left out. Held-out clips are never looked at. A group whose components
 bring nothing keeps its mean and costs nothing else.
 """
 
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.dataset import Dataset
+from prtnet.dataset import SAMPLED, Dataset
 from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
 from prtnet.storage import Storage
@@ -26,10 +26,9 @@ from training.budget import Budget
 from training.config import TrainConfig
 from training.monitor import Monitor, Silent
 from training.onnx_export import build_onnx
-from training.selection import Fold
+from training.selection import Fold, folds_over_moments
 from training.train import (
     AROUND,
-    cross_validation_folds,
     fit_model,
     report_errors,
     training_rows,
@@ -51,12 +50,12 @@ FAMILIES: dict[str, dict[str, Any]] = {
     "shared": {"kind": "shared"},
 }  # fmt: skip
 """Kinds of models, in the order of their milliseconds: what each overrides in the configuration."""
-RICH = 28  # components a group before the search drops what is not worth it
+RICH = 24  # components a group before the search drops what is not worth it
 RICH_AROUND = 16  # beside a prior, where less is left
 PARTS = 8  # groups a cluster: each keeps what it is worth
 FEWEST = 16  # receivers of a group
 STORAGES: tuple[Storage, ...] = ("int8", "float16")
-JUDGED = 80  # poses of a clip that judge, at most
+JUDGED = 40  # poses of each part that judge, at most
 FOLDS_AROUND = 2  # priors take minutes to fit
 ROUNDED = 8  # poses that tell what storing costs
 BLOCK = 8
@@ -70,7 +69,7 @@ class Candidate:
     Attributes:
         family: its name.
         model: fitted to all training poses with more components than it will keep.
-        marginal: what its components bring on each clip left out.
+        marginal: what its components bring on each part of a clip left out.
         order: in which they are worth taking.
         rounding: relative squared error that each storage adds.
     """
@@ -82,7 +81,7 @@ class Candidate:
     rounding: dict[Storage, float]
 
     def errors(self, storage: Storage) -> FloatArray:
-        """Expected relative RMS after 0, 1, … steps: on the median of the clips left out."""
+        """Expected relative RMS after 0, 1, … steps: on the median of the parts left out."""
         exact = self.marginal.errors(self.order.brought(self.marginal.gain))
         return np.hypot(np.median(exact, axis=1), np.sqrt(self.rounding[storage]))
 
@@ -129,21 +128,29 @@ class Candidates:
     def __init__(self, dataset: Dataset, base: TrainConfig, monitor: Monitor | None = None) -> None:
         self.dataset, self.base, self.watch = dataset, base, monitor or Silent()
         self.rows = training_rows(dataset)
-        self.folds = cross_validation_folds(dataset, self.rows)
+        names = dataset.clip_names
+        self.folds = folds_over_moments(
+            dataset.clip[self.rows], dataset.read("time", self.rows),
+            names.index(SAMPLED) if SAMPLED in names else None,
+        )  # fmt: skip
         if len(self.folds) < 2:
             raise PrtnetError(
-                dataset.path, "has too few training clips to judge models by; generate more, or "
+                dataset.path, "has too few training poses to judge models by; generate more, or "
                 "train without --max-error, --max-ms and --max-mb"
             )  # fmt: skip
         self.fitted: dict[str, Candidate] = {}
+        self.alphas: dict[str, float] = {}
 
     def __getitem__(self, family: str) -> Candidate:
         """One of ``FAMILIES``."""
         if family not in self.fitted:
             config = rich_config(self.dataset, self.base, FAMILIES[family])
+            if config.alpha is None:  # chosen once for each kind
+                config = dataclasses.replace(config, alpha=self.alphas.get(config.kind))
             self.fitted[family] = judged(
                 self.dataset, self.rows, self.folds, family, config, self.watch
             )
+            self.alphas[config.kind] = self.fitted[family].model.metadata["alpha"]
         return self.fitted[family]
 
     def finished(self, choice: Choice) -> VisibilityModel:
@@ -228,7 +235,7 @@ def best(choices: list[Choice], budget: Budget) -> Choice:
     name = "--max-error" if budget.max_error else "--max-ms" if budget.max_ms else "--max-mb"
     raise PrtnetError(
         name, f"no model is expected to meet {budget.text()}; the nearest, {chosen.family}, has "
-        f"{near}; allow more, or generate more clips"
+        f"{near}; allow more, or generate more poses"
     )  # fmt: skip
 
 
@@ -354,6 +361,6 @@ def reason(choice: Choice, model: VisibilityModel, budget: Budget) -> str:
     goal = "the smallest of those that meet" if budget.max_error else "the least error within"
     return (
         f"{choice.family} in {choice.storage}, {kept}: {goal} {budget.text()}; expected error "
-        f"{100 * choice.error:.3g} % by cross-validation over clips, "
+        f"{100 * choice.error:.3g} % by cross-validation, "
         f"{choice.model_bytes / 1e6:.3g} MB"
     )

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from prtnet.arrays import BoolArray, FloatArray
+from prtnet.arrays import BoolArray, FloatArray, IntArray
 from prtnet.time_range import GUARD
 from training.regression import Fit
 
@@ -25,6 +25,7 @@ __all__ = [
     "choose_alpha",
     "choose_neurons",
     "folds_over_clips",
+    "folds_over_moments",
     "folds_over_time",
 ]
 
@@ -94,6 +95,48 @@ def folds_over_time(
             validate = np.zeros(len(time), dtype=bool)
             validate[block] = True
             folds.append(Fold(train, validate))
+    return folds if len(folds) > 1 else []
+
+
+def folds_over_moments(
+    clip: IntArray, time: FloatArray, sampled: int | None, count: int = 4, guard: float = GUARD
+) -> list[Fold]:
+    """Folds that leave one contiguous part of every clip out, and as many sampled poses.
+
+    What is left out is as like the rest as a clip is like other clips of its kind: kinder than
+    leaving whole clips out, which asks a model for moves it was never shown.
+
+    Args:
+        clip: of each training pose, (P,).
+        time: seconds of each in its clip, (P,).
+        sampled: the clip of poses that were sampled and have no time, if any.
+        count: of folds.
+        guard: seconds around what is left out that are not fitted to either; less in short clips.
+
+    Returns:
+        No folds where there are too few poses for two.
+    """
+    train = np.ones((count, len(clip)), dtype=bool)
+    validate = np.zeros((count, len(clip)), dtype=bool)
+    for own in np.unique(clip):
+        rows = np.flatnonzero(clip == own)
+        rows = rows[np.argsort(time[rows], kind="stable")]
+        if own == sampled:
+            for fold in range(count):
+                validate[fold, rows[fold::count]] = True
+                train[fold, rows[fold::count]] = False
+            continue
+        near = min(guard, float(np.ptp(time[rows])) / (2 * count))
+        for fold, block in enumerate(np.array_split(rows, count)):
+            if len(block) > 0:
+                validate[fold, block] = True
+                inside = (time >= time[block[0]] - near) & (time <= time[block[-1]] + near)
+                train[fold, (clip == own) & inside] = False
+    folds = [
+        Fold(*pair)
+        for pair in zip(train, validate, strict=True)
+        if pair[0].sum() >= FEWEST_POSES and pair[1].any()
+    ]
     return folds if len(folds) > 1 else []
 
 

@@ -131,8 +131,8 @@ def test_groups_that_never_change_keep_their_mean_alone():
 
 
 def test_too_few_clips_cannot_judge():
-    with pytest.raises(PrtnetError, match="too few training clips"):
-        found(memory_dataset(clips=1, per_clip=3), max_error=0.1)
+    with pytest.raises(PrtnetError, match="too few training poses"):
+        found(memory_dataset(clips=1, per_clip=2), max_error=0.1)
 
 
 def test_a_search_says_what_train_does_with_as_many_components():
