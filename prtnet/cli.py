@@ -193,7 +193,7 @@ def generate(argv: Sequence[str]) -> None:
 def train(argv: Sequence[str]) -> None:
     """Fit a model to a dataset."""
     from prtnet.cli_arguments import check_output, input_file, value_of
-    from prtnet.cli_options import TrainOptions
+    from prtnet.cli_options import TrainOptions, fraction_of
     from training.budget import Budget
     from training.config import PRESETS
 
@@ -201,7 +201,8 @@ def train(argv: Sequence[str]) -> None:
     if preset not in PRESETS:
         raise PrtnetError("--preset", f"'{preset}' is none; {nearest_name(preset, PRESETS)}")
     options, config, session = arguments("train", argv, TrainOptions, PRESETS[preset])
-    budget = Budget(options.max_error, options.max_ms, options.max_mb)
+    max_error = fraction_of("--max-error", options.max_error)
+    budget = Budget(max_error, options.max_ms, options.max_mb)
     check_output(options.out, input_file(options.dataset, folder=True))
 
     import torch

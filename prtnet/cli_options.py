@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from tyro.conf import Positional
-from tyro.constructors import PrimitiveConstructorSpec
 
 from prtnet.errors import PrtnetError
 from prtnet.storage import Storage
@@ -23,6 +22,7 @@ __all__ = [
     "RenderOptions",
     "ReportOptions",
     "TrainOptions",
+    "fraction_of",
 ]
 
 
@@ -32,26 +32,19 @@ def at_least(option: str, value: float | None, least: float) -> None:
         raise PrtnetError(option, f"is {value:g}; it must be a number, at least {least:g}")
 
 
-def fraction_of(text: str) -> float:
-    """The number in ``5%`` or ``0.05``."""
-    number, sign, rest = text.partition("%")
-    value = float(number)
-    if rest.strip():
-        raise ValueError(f"'{text}' is no number")
-    return value / 100 if sign else value
+def fraction_of(option: str, text: str | None) -> float | None:
+    """The number in ``5%`` or ``0.05``.
 
-
-Fraction = Annotated[
-    float,
-    PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="E",
-        instance_from_str=lambda words: fraction_of(words[0]),
-        is_instance=lambda value: isinstance(value, float),
-        str_from_instance=lambda value: [f"{100 * value:g}%"],
-    ),
-]
-"""A fraction that may be written in per cent."""
+    Raises:
+        PrtnetError: it is none.
+    """
+    if text is None:
+        return None
+    number = text.strip()
+    try:
+        return float(number.removesuffix("%")) / (100 if number.endswith("%") else 1)
+    except ValueError:
+        raise PrtnetError(option, f"'{text}' is no number; write 5% or 0.05") from None
 
 
 @dataclass(frozen=True)
@@ -85,7 +78,7 @@ class TrainOptions:
     dataset: Positional[Path]  # from prtnet generate
     out: Path  # model to write, a .safetensors file
     preset: str = "default"  # where options start: default, small, fast, large, best, tiny, paper
-    max_error: Fraction | None = None  # find the smallest model expected to err less: 5% or 0.05
+    max_error: str | None = None  # find the smallest model expected to err less: 5% or 0.05
     max_ms: float | None = None  # find the best model that is this fast: milliseconds a pose
     max_mb: float | None = None  # find the best model that is this small: megabytes of ONNX
     log_dir: Path | None = None  # write TensorBoard scalars and histograms into this folder

@@ -108,6 +108,19 @@ def test_evaluation_of_a_scene_agrees(work: Path) -> None:
     assert results["clips"]["bend"]["held_out"] is False
 
 
+def test_a_limit_on_the_error_finds_a_model(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "found.safetensors"
+    prtnet("train", work / "arm.zarr", "--out", out, "--max-error", "15%", "--clusters", "6")
+    text = capsys.readouterr().out
+    assert "expected error" in text
+    assert "neural, large, int8" in text
+    told = VisibilityModel.load(out).metadata["search"]
+    assert told["budget"] == {"max_error": 0.15, "max_ms": None, "max_mb": None}
+    assert told["chosen"]["error"] <= 0.15
+
+
 def test_clip_that_training_did_not_see_counts_as_held_out(work: Path, tmp_path: Path) -> None:
     """The mesh is the same, so the model takes it; the clip is not one of its own."""
     scene, report = tmp_path / "again.glb", tmp_path / "errors.json"
@@ -329,6 +342,9 @@ BAD: list[tuple[Sequence[str], str]] = [
     (("generate", "arm.glb", "--out", "x.zarr", "--rays", "0"), "--rays: must be at least 1"),
     (("train", "arm.glb", "--out", "x.safetensors"), "is not a dataset"),
     (("train", "arm.zarr", "--out", "x.safetensors", "--preset", "papre"), "'paper'"),
+    (("train", "arm.zarr", "--out", "x.safetensors", "--max-error", "5"), "5% or 0.05"),
+    (("train", "arm.zarr", "--out", "x.safetensors", "--max-error", "five"), "--max-error"),
+    (("train", "arm.zarr", "--out", "x.safetensors", "--max-mb", "0"), "above 0"),
     (("train", "arm.zarr", "--out", "x.safetensors", "--device", "abacus"), "--device"),
     (("train", "arm.zarr", "--out", "no/x.safetensors"), "there is no folder"),
     (("evaluate", "arm.glb", "arm.zarr"), "arm.glb: "),

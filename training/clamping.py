@@ -27,33 +27,37 @@ class UnitBox:
     """From reduced inputs to the box [−1, 1] and back; every array is (1 or C, …).
 
     Attributes:
-        matrix, bias: (K, K + 1) and (1, K + 1), to units of the box and the one input more.
-        back: (K + 1, K + 1), from clamped units to clamped inputs and a one.
+        middle, half: (1, K) and (K, 1), the box's middle, and its extent on either side.
+        inverse, bias: (1, K) and (1, K + 1), to units of the box and the one input more.
         square: (K + 1, 1), from squared distances to the box, in its units, to 1 + d².
     """
 
-    matrix: Stored
+    middle: FloatArray
+    half: FloatArray
+    inverse: FloatArray
     bias: FloatArray
-    back: FloatArray
     square: FloatArray
+
+    def units(self, matrix: FloatArray) -> FloatArray:
+        """A matrix (1 or C, F, K) to inputs, as one (1 or C, F, K + 1) to units."""
+        return np.pad(matrix * self.inverse, ((0, 0), (0, 0), (0, 1)))
+
+    def unit_nodes(self, graph: GraphBuilder, matrix: str) -> str:
+        """The same as nodes."""
+        scaled = graph.node("Mul", matrix, graph.constant(self.inverse))
+        nothing = graph.node("Mul", graph.slice(matrix, 0, 1, 2), graph.constant(0.0))
+        return graph.node("Concat", scaled, nothing, axis=2)
 
 
 def unit_box(low: FloatArray, high: FloatArray) -> UnitBox:
     """Of the training poses' range (1 or C, K)."""
     low, high = low.astype(np.float64), high.astype(np.float64)
-    boxes, inputs = low.shape
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     size = box_size(low, high)[:, None]
     unit = np.maximum(half, THINNEST * size)
-    every = np.arange(inputs)
-    matrix, bias = np.zeros((boxes, inputs, inputs + 1)), np.full((boxes, 1, inputs + 1), 2.0)
-    matrix[:, every, every] = 1.0 / unit
-    bias[:, 0, :-1] = -middle / unit
-    back, square = np.zeros((boxes, inputs + 1, inputs + 1)), np.ones((boxes, inputs + 1, 1))
-    back[:, every, every], back[:, -1, :-1], back[:, -1, -1] = half, middle, 1.0
-    square[:, :-1, 0] = np.square(unit / (FADE_SCALE * size))
-    scale = np.ones((1, 1, 1), dtype=np.float32)
-    return UnitBox(Stored(matrix.astype(np.float32), scale), bias, back, square)
+    bias = np.pad(-middle / unit, ((0, 0), (0, 1)), constant_values=2.0)[:, None]
+    square = np.pad(np.square(unit / (FADE_SCALE * size)), ((0, 0), (0, 1)), constant_values=1.0)
+    return UnitBox(middle[:, None], half[..., None], 1.0 / unit[:, None], bias, square[..., None])
 
 
 def clamp_nodes(graph: GraphBuilder, box: UnitBox, value: str) -> tuple[str, str]:
@@ -67,6 +71,10 @@ def clamp_nodes(graph: GraphBuilder, box: UnitBox, value: str) -> tuple[str, str
 def from_unit_nodes(graph: GraphBuilder, box: UnitBox, weight: Stored, bias: FloatArray) -> str:
     """(C, K + 1, N) from clamped units through a layer (C, K, N) and its bias (C, 1, N)."""
     if weight.values.dtype == np.float32:
-        return graph.constant(box.back @ np.concatenate([weight.values, bias], axis=1))
-    layer = graph.node("Concat", graph.stored(weight), graph.constant(bias), axis=1)
-    return graph.node("MatMul", graph.constant(box.back), layer)
+        last = box.middle @ weight.values.astype(np.float64) + bias
+        return graph.constant(np.concatenate([box.half * weight.values, last], axis=1))
+    layer = graph.stored(weight)
+    scaled = graph.node("Mul", graph.constant(box.half), layer)
+    last = graph.node("MatMul", graph.constant(box.middle), layer)
+    last = graph.node("Add", last, graph.constant(bias))
+    return graph.node("Concat", scaled, last, axis=1)

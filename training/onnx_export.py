@@ -25,7 +25,7 @@ from prtnet.features import (
 from prtnet.files import writing
 from prtnet.model import Regressor, VisibilityModel
 from prtnet.storage import Stored
-from training.clamping import clamp_nodes, from_unit_nodes, unit_box
+from training.clamping import UnitBox, clamp_nodes, from_unit_nodes, unit_box
 from training.onnx_graph import GraphBuilder
 from training.onnx_prior import prior_nodes
 from training.reconstruction import LatentLayer, latent_layer, visibility_nodes
@@ -259,21 +259,30 @@ def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> st
 
 
 def linear_nodes(
-    graph: GraphBuilder, model: VisibilityModel, value: str, weight: Stored, bias: FloatArray
-) -> str:
-    """(P, 1 or C, 1, N): features through the input PCA, one more matrix (1 or C, K, N), a bias."""
+    graph: GraphBuilder, model: VisibilityModel, value: str, after: Stored | UnitBox,
+    bias: FloatArray,
+) -> str:  # fmt: skip
+    """(P, 1 or C, 1, N): features through the input PCA, what comes after it, and a bias.
+
+    Args:
+        graph: with the features.
+        model: of the PCA.
+        value: the features.
+        after: one more matrix (1 or C, K, N), or what makes units of the box.
+        bias: (1 or C, 1, N).
+    """
     size = model.input_mean.shape[1]
     mean: FloatArray = model.input_mean.astype(np.float64)[:, None]
     basis = model.stored("input_basis")
-    if len(mean) < len(weight.values):  # the same for all clusters: reduced once
+    if isinstance(after, Stored) and len(mean) < len(after.values):  # for all clusters: once
         value = graph.reshape(value, [-1, 1, 1, size])
         centred = graph.node("Sub", value, graph.constant(mean[0]))
         reduced = graph.node("MatMul", centred, graph.stored(basis))
-        value = graph.node("MatMul", reduced, graph.stored(weight))
+        value = graph.node("MatMul", reduced, graph.stored(after))
         return graph.node("Add", value, graph.constant(bias))
     # Everything linear in a cluster's features is one matrix, everything constant its bias.
-    product = first_matrix(graph, model.features, basis, weight)
-    bias = bias - mean @ basis.array().astype(np.float64) @ weight.array().astype(np.float64)
+    product = first_matrix(graph, model.features, basis, after)
+    bias = bias - mean @ through(basis.array().astype(np.float64), after)
     if isinstance(model.features, Occluders):
         order, points = model.features.order, model.features.point.shape[1]
         size += points * (RAW[order] - order**2)
@@ -281,29 +290,43 @@ def linear_nodes(
     return graph.node("Add", graph.node("MatMul", value, product), graph.constant(bias))
 
 
-def first_matrix(graph: GraphBuilder, features: Features, basis: Stored, weight: Stored) -> str:
-    """(1 or C, F, N): from :func:`feature_nodes` through the PCA and one more matrix."""
+def through(matrix: FloatArray, after: Stored | UnitBox) -> FloatArray:
+    """A matrix (1 or C, F, K) and what comes after it as one, (1 or C, F, N)."""
+    return after.units(matrix) if isinstance(after, UnitBox) else matrix @ after.array()
+
+
+def through_nodes(graph: GraphBuilder, matrix: str, after: Stored | UnitBox) -> str:
+    """The same as nodes."""
+    if isinstance(after, UnitBox):
+        return after.unit_nodes(graph, matrix)
+    return graph.node("MatMul", matrix, graph.stored(after))
+
+
+def first_matrix(
+    graph: GraphBuilder, features: Features, basis: Stored, after: Stored | UnitBox
+) -> str:
+    """(1 or C, F, N): from :func:`feature_nodes` through the PCA and what comes after it."""
     exact = basis.values.dtype == np.float32  # multiplied here, in double precision
-    if isinstance(features, Occluders):
-        clusters, points, _ = features.point.shape
-        to_features = harmonics(features)
-        shape = (clusters, points, features.order**2, basis.values.shape[-1])
-        caps = points * features.order**2
-        if exact:
-            every = basis.values.astype(np.float64)
-            moved = (to_features @ every[:, :caps].reshape(shape)).reshape(clusters, -1, shape[-1])
-            return graph.constant(np.concatenate([moved, every[:, caps:]], axis=1) @ weight.values)
-        stored = graph.stored(basis)
-        own = graph.reshape(graph.slice(stored, 0, caps, 1), shape)
-        own = graph.node("MatMul", graph.constant(to_features), own)
-        own = graph.reshape(own, [clusters, -1, shape[-1]])
-        if basis.values.shape[1] > caps:
-            morphs = graph.slice(stored, caps, basis.values.shape[1], 1)
-            own = graph.node("Concat", own, morphs, axis=1)
-        return graph.node("MatMul", own, graph.stored(weight))
-    if exact:
-        return graph.constant(basis.values.astype(np.float64) @ weight.values)
-    return graph.node("MatMul", graph.stored(basis), graph.stored(weight))
+    every = basis.values.astype(np.float64) if exact else None
+    if not isinstance(features, Occluders):
+        if every is not None:
+            return graph.constant(through(every, after))
+        return through_nodes(graph, graph.stored(basis), after)
+    clusters, points, _ = features.point.shape
+    to_features = harmonics(features)
+    shape = (clusters, points, features.order**2, basis.values.shape[-1])
+    caps = points * features.order**2
+    if every is not None:
+        moved = (to_features @ every[:, :caps].reshape(shape)).reshape(clusters, -1, shape[-1])
+        return graph.constant(through(np.concatenate([moved, every[:, caps:]], axis=1), after))
+    stored = graph.stored(basis)
+    own = graph.reshape(graph.slice(stored, 0, caps, 1), shape)
+    own = graph.node("MatMul", graph.constant(to_features), own)
+    own = graph.reshape(own, [clusters, -1, shape[-1]])
+    if basis.values.shape[1] > caps:
+        morphs = graph.slice(stored, caps, basis.values.shape[1], 1)
+        own = graph.node("Concat", own, morphs, axis=1)
+    return through_nodes(graph, own, after)
 
 
 def first_layer(model: VisibilityModel) -> tuple[Stored, FloatArray] | None:
@@ -340,7 +363,7 @@ def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer
         value = linear_nodes(graph, model, value, weight, bias)
     else:
         box = unit_box(model.input_low, model.input_high)
-        value = linear_nodes(graph, model, value, box.matrix, box.bias)
+        value = linear_nodes(graph, model, value, box, box.bias)
         value, damping = clamp_nodes(graph, box, value)
         value = graph.node("MatMul", value, from_unit_nodes(graph, box, weight, bias))
     if weight is not layer.weight:

@@ -1,10 +1,10 @@
 """The cheapest model that meets its limits: only what the scene needs.
 
 Every kind of model is fitted once with more components than any budget keeps, and once without
-each fold: a quarter of every training clip in turn. What each component brings on what its fold left
-out tells which of them are worth their bytes (:mod:`training.worth`), and what error to expect:
-that of the median part left out. Held-out clips are never looked at. A group whose components
-bring nothing keeps its mean and costs nothing else.
+each fold: a quarter of every training clip in turn. What each component brings on what its fold
+left out tells which of them are worth their bytes (:mod:`training.worth`), and what error to
+expect: that of the median part left out. Held-out clips are never looked at. A group whose
+components bring nothing keeps its mean and costs nothing else.
 """
 
 from __future__ import annotations

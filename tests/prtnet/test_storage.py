@@ -117,3 +117,16 @@ def test_scales_that_do_not_fit_are_told(name, value):
     packed = pack({"a": table()}, {"a": PACKINGS["one scale a coefficient"]})
     with pytest.raises(ValueError):  # noqa: PT011 - NumPy says some of it
         unpack(packed | {name: value})
+
+
+@pytest.mark.parametrize(
+    ("values", "dtype"),
+    [([0, 255], np.uint8), ([-1, 255], np.int16), ([0, 256], np.int16), ([0, 40000], np.int32)],
+)
+def test_indices_take_the_bytes_they_need(values, dtype):
+    arrays = {"index": np.array(values, dtype=np.int32), "none": np.zeros((0, 2), dtype=np.int32)}
+    packed = pack(arrays, {})
+    assert packed["index"].dtype == dtype
+    back = unpack(packed)
+    assert back["index"].dtype == back["none"].dtype == np.int32
+    assert back["index"].tolist() == values

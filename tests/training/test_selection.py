@@ -10,6 +10,7 @@ from training.selection import (
     choose_alpha,
     choose_neurons,
     folds_over_clips,
+    folds_over_moments,
     folds_over_time,
     validation_loss,
 )
@@ -105,3 +106,27 @@ def test_neurons_and_alpha_are_where_neither_change_helps():
             pair = NEURONS[other[0]], ALPHAS[other[1]]
             assert errors[pair] >= errors[neurons, alpha]
     assert len(calls) == len(folds) * len(errors) < len(folds) * len(NEURONS) * len(ALPHAS)
+
+
+def test_folds_over_moments_leave_a_part_of_every_clip_out():
+    clip = np.repeat([0, 1, 2], [40, 12, 9])
+    time = np.concatenate([np.arange(40) / 8.0, np.arange(12) / 40.0, np.zeros(9)])
+    folds = folds_over_moments(clip, time, sampled=2)
+    assert len(folds) == 4
+    assert (sum(fold.validate.astype(int) for fold in folds) == 1).all()
+    for fold in folds:
+        assert not (fold.train & fold.validate).any()
+        for own, guard in ((0, 0.5), (1, 11 / 40 / 8)):
+            left = time[fold.validate & (clip == own)]
+            kept = time[fold.train & (clip == own)]
+            assert len(left) > 0
+            assert len(kept) > 0
+            assert np.ptp(left) < 0.3 * np.ptp(time[clip == own])  # contiguous
+            apart = np.maximum(left.min() - kept, kept - left.max())
+            assert apart.min() > guard
+        assert 2 <= (fold.validate & (clip == 2)).sum() <= 3
+        assert (fold.train | fold.validate)[clip == 2].all()  # sampled poses have no guard
+
+
+def test_few_poses_have_no_folds_over_moments():
+    assert folds_over_moments(np.zeros(3, dtype=int), np.arange(3.0), None) == []
