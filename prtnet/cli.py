@@ -157,6 +157,8 @@ def info(argv: Sequence[str]) -> None:
         from prtnet.model import VisibilityModel
 
         facts = VisibilityModel.load(path).metadata
+        if "search" in facts:
+            facts = {**facts, "search": facts["search"]["why"]}
     elif path.is_dir():
         from prtnet.dataset import Dataset
 

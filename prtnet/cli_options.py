@@ -80,7 +80,7 @@ class TrainOptions:
     preset: str = "default"  # where options start: default, small, fast, large, best, tiny, paper
     max_error: str | None = None  # find the smallest model expected to err less: 5% or 0.05
     max_ms: float | None = None  # find the best model that is this fast: milliseconds a pose
-    max_mb: float | None = None  # find the best model that is this small: megabytes of ONNX
+    max_mb: float | None = None  # find the best model that is this small: megabytes of model.onnx
     log_dir: Path | None = None  # write TensorBoard scalars and histograms into this folder
     threads: int | None = None  # CPU threads; all cores when not given
 

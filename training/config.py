@@ -38,7 +38,8 @@ class TrainConfig:
     target: Literal["visibility", "cosine"] = "visibility"
     """What is fitted; models of cosine-weighted visibility can only be evaluated likewise."""
     neurons: int | Literal["auto"] = 32
-    """Neurons in each cluster's hidden layer; auto cross-validates 8, 16, 32 and 64, with α."""
+    """Neurons in each cluster's hidden layer; auto cross-validates 8, 16, 32 and 64, with α, and is
+    16 for hybrid and shared."""
     leading: int = 12
     """So many leading inputs are multiplied with each other in a quadratic model."""
     smoothness: float = 0.0
@@ -132,7 +133,9 @@ PRESETS: dict[str, TrainConfig] = {
     "default": TrainConfig(),
     "small": TrainConfig(clusters=32, neurons=16, latents=6, points=3, near=24, spheres=64),
     "fast": TrainConfig(parts=8, latents=32),
-    "large": TrainConfig(neurons=32, networks=3, latents=48, points=8, near=64, spheres=240),
+    "large": TrainConfig(
+        parts=8, latents=96, neurons=64, inputs=64, points=12, near=96, spheres=240
+    ),
     "best": TrainConfig(
         kind="shared",
         width=256,

@@ -48,7 +48,7 @@ def joint_angle_nodes(graph: GraphBuilder, features: JointAngles) -> str:
     matrices = joint_matrices(graph, features.joints)
     linear = graph.slice(matrices, 0, 3, 3)
     rotation = graph.node("Div", linear, graph.node("Sqrt", squared_columns(graph, linear)))
-    child = graph.node("Gather", rotation, graph.constant(features.joint), axis=1)
+    child = graph.node("Gather", rotation, graph.index(features.joint), axis=1)
     above = graph.constant(np.maximum(features.parent, 0))
     has_parent = (features.parent >= 0)[:, None, None].astype(np.float32)
     parent = graph.node("Gather", rotation, above, axis=1)
@@ -80,7 +80,7 @@ def dihedral_angle_nodes(graph: GraphBuilder, features: DihedralAngles, pose_siz
     points = graph.reshape("pose", [-1, pose_size // 3, 3])
     points = graph.node("Transpose", points, perm=[0, 2, 1])
     start, end, left, right = (
-        graph.node("Gather", points, graph.constant(features.edge[:, k]), axis=2) for k in range(4)
+        graph.node("Gather", points, graph.index(features.edge[:, k]), axis=2) for k in range(4)
     )
     along, left, right = (
         unit_nodes(graph, graph.node("Sub", vertex, start)) for vertex in (end, left, right)
@@ -98,7 +98,7 @@ def dihedral_angle_nodes(graph: GraphBuilder, features: DihedralAngles, pose_siz
 def local_joint_nodes(graph: GraphBuilder, features: LocalJoints) -> str:
     """(P, C, 3·J) where the joints are in the frame of each cluster's joint."""
     matrices = joint_matrices(graph, features.joints)
-    home = graph.node("Gather", matrices, graph.constant(features.cluster_joint), axis=1)
+    home = graph.node("Gather", matrices, graph.index(features.cluster_joint), axis=1)
     linear, offset = graph.slice(home, 0, 3, 3), graph.slice(home, 3, 4, 3)
     inverse = graph.node("Div", linear, squared_columns(graph, linear))
     inverse = graph.node("Transpose", inverse, perm=[0, 1, 3, 2])
@@ -123,7 +123,7 @@ def near_nodes(graph: GraphBuilder, features: Occluders) -> tuple[str, str]:
     centre = np.concatenate([features.spheres.centre, np.ones((len(features.spheres), 1))], 1)
     riding = graph.node("Gather", matrices, rides, axis=1)  # [P, S, 3, 4]
     centres = graph.total(graph.node("Mul", riding, graph.constant(centre[:, None])), 3)
-    home = graph.node("Gather", matrices, graph.constant(features.cluster_joint), axis=1)
+    home = graph.node("Gather", matrices, graph.index(features.cluster_joint), axis=1)
     linear, offset = graph.slice(home, 0, 3, 3), graph.slice(home, 3, 4, 3)
     radius2 = features.spheres.radius.astype(np.float64) ** 2
     if features.one_scale:
@@ -348,7 +348,7 @@ def bend_nodes(graph: GraphBuilder, regressor: Regressor, value: str) -> str:
     """What the last layer sees, (P, 1 or C, 1, N): tanh, or inputs with their products behind."""
     if regressor.pairs is None:
         return graph.node("Tanh", value)
-    pair = (graph.node("Gather", value, graph.constant(k), axis=3) for k in regressor.pairs)
+    pair = (graph.node("Gather", value, graph.index(k), axis=3) for k in regressor.pairs)
     return graph.node("Concat", value, graph.node("Mul", *pair), axis=3)
 
 
@@ -405,7 +405,7 @@ def build_latent_onnx(model: VisibilityModel, scale: FloatArray) -> onnx.ModelPr
     layer = latent_layer(model)
     flat = latent_nodes(graph, model, layer)
     own = [first + np.arange(n) for first, n in zip(layer.first, model.latents, strict=True)]
-    value = graph.node("Gather", flat, graph.constant(np.concatenate(own)), axis=1)
+    value = graph.node("Gather", flat, graph.index(np.concatenate(own)), axis=1)
     graph.node("Mul", value, graph.constant(scale), output="latents")
     return graph.model(
         model.pose_size, "latents", [len(scale)], {"prtnet": "latents", "kind": model.kind}

@@ -34,7 +34,7 @@ def padded_rows(matrix: scipy.sparse.csr_array) -> tuple[IntArray, FloatArray]:
 def sparse_nodes(graph: GraphBuilder, matrix: scipy.sparse.csr_array, values: str) -> str:
     """A sparse matrix (M, N) times vectors (P, N, 3): (P, M, 3)."""
     columns, weights = padded_rows(matrix)
-    gathered = graph.node("Gather", values, graph.constant(columns), axis=1)
+    gathered = graph.node("Gather", values, graph.index(columns), axis=1)
     weighed = graph.node("Mul", gathered, graph.constant(weights[..., None]))
     return graph.total(weighed, 2)
 
@@ -66,7 +66,7 @@ def offset_nodes(graph: GraphBuilder, points: str, index: IntArray, here: str) -
 
     The difference comes first: two points near each other have one without rounding.
     """
-    there = graph.node("Gather", points, graph.constant(index), axis=1)
+    there = graph.node("Gather", points, graph.index(index), axis=1)
     return graph.node("Sub", graph.node("Transpose", there, perm=[0, 1, 3, 2]), here)
 
 
@@ -195,7 +195,7 @@ def patch_nodes(graph: GraphBuilder, surroundings: PatchSurroundings, pose_size:
     scale = graph.constant(1.0 / size)
     edges = (graph.node("Mul", graph.node("Sub", end, a), scale) for end in (b, c))
     crosses = cross_nodes(graph, *edges)
-    here = graph.node("Gather", points, graph.constant(surroundings.vertex), axis=1)
+    here = graph.node("Gather", points, graph.index(surroundings.vertex), axis=1)
     here = graph.reshape(here, [-1, receivers, 3, 1])
     carried = offset_nodes(graph, points, surroundings.carry_vertex, here)
     weight = surroundings.carry_weight[:, None] / size
@@ -208,7 +208,7 @@ def patch_nodes(graph: GraphBuilder, surroundings: PatchSurroundings, pose_size:
 
     table = patch_table_nodes(graph, surroundings, points, crosses)
     near = surroundings.near
-    index = graph.constant(np.where(near >= 0, near, int(surroundings.patch.max()) + 1))
+    index = graph.index(np.where(near >= 0, near, int(surroundings.patch.max()) + 1))
     seen = graph.node("Gather", table, index, axis=1)  # [P, R, K, 6]
     seen = graph.node("Transpose", seen, perm=[0, 1, 3, 2])
     centres, areas = graph.slice(seen, 0, 3, 2), graph.slice(seen, 3, 6, 2)

@@ -74,7 +74,7 @@ def visibility_nodes(
         groups = order[model.latents[order] == count]
         index = np.full((len(groups), 1, count + 1), layer.one)
         index[:, 0, :count] = layer.first[groups, None] + np.arange(count)
-        own = graph.node("Gather", latents, graph.constant(index), axis=1)
+        own = graph.node("Gather", latents, graph.index(index), axis=1)
         slots = graph.node("MatMul", own, row_nodes(graph, model, groups, int(count)))
         size = len(groups) * model.receivers.shape[1]
         parts.append(graph.reshape(slots, [-1, size, model.order**2]))
@@ -83,7 +83,7 @@ def visibility_nodes(
     position[order] = np.arange(len(order))
     group, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
     place = position[group] * model.receivers.shape[1] + slot
-    receivers = graph.initializer(place.astype(np.int32))
+    receivers = graph.index(place)
     if prior is None:
         graph.node("Gather", every, receivers, axis=1, output="visibility")
         return

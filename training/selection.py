@@ -1,7 +1,8 @@
 """Weight decay and neurons by cross-validation over whole clips, or over time in the only one.
 
-Poses of one clip are near copies of each other: a random split would flatter every model. A pose
-sampled from a held-back clip is held back with it.
+Poses of one clip are near copies of each other: a random split would flatter every model. Folds
+over clips hold a sampled pose back with the clips it was mixed from; folds over moments know no
+such thing.
 """
 
 from __future__ import annotations
@@ -121,7 +122,7 @@ def folds_over_moments(
     for own in np.unique(clip):
         rows = np.flatnonzero(clip == own)
         rows = rows[np.argsort(time[rows], kind="stable")]
-        if own == sampled:
+        if own == sampled or np.ptp(time[rows]) == 0:  # moments that cannot be told apart
             for fold in range(count):
                 validate[fold, rows[fold::count]] = True
                 train[fold, rows[fold::count]] = False

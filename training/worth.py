@@ -49,8 +49,8 @@ class Marginal:
         )
 
     def votes(self) -> FloatArray:
-        """What components are worth, (G, L): every set counts the same, whatever its error."""
-        share = self.gain / np.maximum(self.base, 1e-30)[:, None, None]
+        """What components are worth, (G, L): every set counts the same, whatever its size."""
+        share = self.gain / np.maximum(self.energy, 1e-30)[:, None, None]
         return share.mean(axis=0)
 
     def errors(self, brought: FloatArray) -> FloatArray:
@@ -114,7 +114,7 @@ def front(worth: FloatArray, latents: IntArray, step: int) -> Front:
     """The order of worth; what is worth nothing is left out.
 
     Args:
-        worth: of each component, (G, L). All cost equally many bytes.
+        worth: of each component, (G, L). All cost about equally many bytes, their rows.
         latents: how many each group has at most, (G,).
         step: a group has a multiple of so many components, or all it can have.
     """

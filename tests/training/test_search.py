@@ -102,6 +102,43 @@ def test_limits_that_nothing_meets_are_refused(limits, option):
     assert caught.value.subject == option
 
 
+def test_a_clock_that_wavers_refuses_nothing_that_it_allowed():
+    taken = iter(np.random.default_rng(0).uniform(0.9, 1.1, 10_000))
+
+    def wavering(proto):
+        return by_size(proto) * next(taken)
+
+    limit = 1.05 * by_size(build_onnx(search(scene(), SMALL, Budget(max_mb=0.1), by_size))
+                           .SerializeToString())  # fmt: skip
+    model = search(scene(), SMALL, Budget(max_ms=0.7 * limit), wavering)
+    assert model.metadata["search"]["chosen"]["meets"]
+
+
+def test_what_the_search_chooses_is_not_asked_for():
+    for asked in ({"storage": "int8"}, {"kind": "linear"}, {"target": "cosine"}):
+        with pytest.raises(PrtnetError, match="is chosen by") as caught:
+            search(scene(), dataclasses.replace(SMALL, **asked), Budget(max_mb=1.0), by_size)
+        assert caught.value.subject == f"--{next(iter(asked))}"
+
+
+def test_folds_have_as_many_neurons_as_the_model(monkeypatch):
+    seen = []
+    fit_model = module.fit_model
+
+    def spy(dataset, rows, config, *rest):
+        model, layout = fit_model(dataset, rows, config, *rest)
+        if config.kind == "neural":
+            seen.append(model.regressor.hidden_bias.shape[1])
+        return model, layout
+
+    monkeypatch.setattr(module, "fit_model", spy)
+    families = {"neural": {k: v for k, v in module.FAMILIES["neural"].items() if k != "neurons"}}
+    monkeypatch.setattr(module, "FAMILIES", families)
+    search(scene(), dataclasses.replace(SMALL, neurons="auto"), Budget(max_mb=1.0), by_size)
+    assert len(seen) == 5
+    assert len(set(seen)) == 1
+
+
 def test_the_model_found_is_whole(tmp_path):
     data = scene()
     model = found(data, max_error=0.2)

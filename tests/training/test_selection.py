@@ -128,5 +128,11 @@ def test_folds_over_moments_leave_a_part_of_every_clip_out():
         assert (fold.train | fold.validate)[clip == 2].all()  # sampled poses have no guard
 
 
+def test_moments_that_cannot_be_told_apart_are_split_all_the_same():
+    folds = folds_over_moments(np.zeros(20, dtype=int), np.full(20, 3.0), None)
+    assert [int(fold.validate.sum()) for fold in folds] == [5, 5, 5, 5]
+    assert all((fold.train ^ fold.validate).all() for fold in folds)
+
+
 def test_few_poses_have_no_folds_over_moments():
     assert folds_over_moments(np.zeros(3, dtype=int), np.arange(3.0), None) == []

@@ -46,7 +46,7 @@ def test_sets_are_joined_and_each_has_a_vote():
     two = Marginal(np.array([600.0]), np.array([100.0]), np.array([[[25.0]]]))
     both = Marginal.joined([one, two])
     assert both.gain.tolist() == [[[1.0, 0.5]], [[25.0, 0.0]]]
-    assert both.votes().tolist() == [[0.375, 0.125]]
+    assert both.votes() == pytest.approx(np.array([[(1 / 4 + 25 / 600) / 2, 1 / 16]]))
     errors = both.errors(np.array([[0.0, 0.0], [1.5, 25.0], [5.0, 5.0]]))
     expected = [[0.5**0.5, 0.1666667**0.5], [0.125**0.5, 0.125**0.5], [0.0, (95 / 600) ** 0.5]]
     assert errors == pytest.approx(np.array(expected), rel=1e-6)
