@@ -68,6 +68,12 @@ def robot() -> None:
         row("hybrid", data, dataclasses.replace(base, kind="hybrid")),
         row("shared", data, dataclasses.replace(base, kind="shared")),
         row("preset tiny", data, dataclasses.replace(PRESETS["tiny"], clusters=16)),
+        row("preset large", data, dataclasses.replace(PRESETS["large"], clusters=16)),
+        row(
+            "preset large, 8 bits",
+            data,
+            dataclasses.replace(PRESETS["large"], clusters=16, storage="int8"),
+        ),
     ]
     publish("robot", COLUMNS, rows)
 

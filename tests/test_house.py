@@ -104,7 +104,7 @@ def test_command_line_imports_the_packages_lazily(path: Path) -> None:
 def test_cli_imports_only_the_ground_floor_at_the_top(name: str) -> None:
     top = parse(REPOSITORY / name)
     top.body = [node for node in top.body if isinstance(node, ast.Import | ast.ImportFrom)]
-    assert {name.partition(".")[0] for name in imported(top)} & set(PACKAGES) == {"prtnet"}
+    assert {name.partition(".")[0] for name in imported(top)} & set(PACKAGES) <= {"prtnet"}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)

@@ -158,7 +158,7 @@ def test_held_out_clips_are_told_apart_from_training(work: Path) -> None:
     assert "holds out no clip" not in held
     assert "later &amp; &lt;b&gt;" in held
     assert len(seen_told["models"]) == 4
-    assert len(held_told["models"]) == 8
+    assert len(held_told["models"]) == 12
 
 
 def test_larger_models_take_over_the_weight_decay(work: Path) -> None:
