@@ -15,13 +15,11 @@ from unittest import mock
 
 import numpy as np
 import torch
-from tables import HUMAN, dataset, per_cent, publish
+from tables import HUMAN, dataset, held_out_errors, per_cent, publish
 
 from prtnet import prior, sh
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.dataset import SAMPLED, Dataset
-from prtnet.metrics import ErrorSum
-from prtnet.model import VisibilityModel
 from runtime.onnx_model import OnnxModel
 from training import ridge_maps
 from training.config import PRESETS, TrainConfig
@@ -61,20 +59,6 @@ AROUND_LEVERS: list[tuple[str, dict[str, Any]]] = [
 ]
 
 
-def judged(model: VisibilityModel, data: Dataset) -> tuple[str, str, str, str, float]:
-    """Error, its 99th percentile, megabytes and milliseconds as text, and the error."""
-    total, rows = ErrorSum(), data.held_out_poses()[::EVERY]
-    proto = build_onnx(model).SerializeToString()
-    predict = OnnxModel(proto, threads=2)
-    for start in range(0, len(rows), 8):
-        block = rows[start : start + 8]
-        total.add(predict(data.read("pose", block)), data.read("visibility", block))
-    summary = total.summary()
-    ms = predict.milliseconds(data.read("pose", slice(1)))
-    size = f"{len(proto) / 1e6:.2f}"
-    return per_cent(summary["rms"]), per_cent(summary["p99"]), size, f"{ms:.2f}", summary["rms"]
-
-
 class Thinned(Dataset):
     """Every second training pose: levers are compared in half the time."""
 
@@ -101,12 +85,23 @@ class Table:
         begun = time.perf_counter()
         model = train(data, config)
         taken = time.perf_counter() - begun
-        error, p99, size, ms, rms = judged(model, data)
+        proto = build_onnx(model).SerializeToString()
+        predict = OnnxModel(proto, threads=2)
+        ms = predict.milliseconds(data.read("pose", slice(1)))
+        error = held_out_errors(data, predict, EVERY)
         if start:
-            self.start = rms
+            self.start = error["rms"]
+        self.row(name, error, f"{len(proto) / 1e6:.2f}", f"{ms:.2f}", taken, start)
+
+    def row(
+        self, name: str, error: dict[str, float], size: str, ms: str, taken: float,
+        start: bool = False,
+    ) -> None:  # fmt: skip
+        """Write one row down."""
         assert self.start is not None
-        change = "" if start else f"{100 * (rms - self.start):+.2f}"
-        self.rows.append([name, error, change, p99, size, ms, f"{taken:.0f}"])
+        change = "" if start else f"{100 * (error['rms'] - self.start):+.2f}"
+        cells = [per_cent(error["rms"]), change, per_cent(error["p99"]), size, ms, f"{taken:.0f}"]
+        self.rows.append([name, *cells])
         print(self.rows[-1], flush=True)
 
 
@@ -137,19 +132,9 @@ def exponential_row(table: Table, data: Dataset) -> None:
         mock.patch.object(prior, "saturated", exponential),
         mock.patch.object(ridge_maps, "saturated", exponential),
     ):
-        model = train(data, AROUND)
-        total, rows = ErrorSum(), data.held_out_poses()[::EVERY]
-        for k in range(len(rows)):
-            own = rows[k : k + 1]
-            total.add(model(data.read("pose", own)), data.read("visibility", own))
-    summary, taken = total.summary(), time.perf_counter() - begun
-    assert table.start is not None
-    change = f"{100 * (summary['rms'] - table.start):+.2f}"
-    name = "exponential in place of saturated sums"
-    table.rows.append(
-        [name, per_cent(summary["rms"]), change, per_cent(summary["p99"]), "–", "–", f"{taken:.0f}"]
-    )
-    print(table.rows[-1], flush=True)
+        error = held_out_errors(data, train(data, AROUND), EVERY)
+    taken = time.perf_counter() - begun
+    table.row("exponential in place of saturated sums", error, "–", "–", taken)
 
 
 def main() -> None:

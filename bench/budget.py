@@ -11,10 +11,8 @@ import time
 
 import numpy as np
 import torch
-from tables import CLOTH, HUMAN, ROBOT, dataset, per_cent, publish
+from tables import CLOTH, HUMAN, ROBOT, dataset, held_out_errors, per_cent, publish
 
-from prtnet.dataset import Dataset
-from prtnet.metrics import ErrorSum
 from runtime.onnx_model import OnnxModel
 from training.budget import Budget
 from training.config import PRESETS
@@ -28,15 +26,6 @@ SCENES = {
 }
 """Dataset, scene, configuration, clusters, number of targets."""
 COLUMNS = ("target", "expected", "held-out", "met", "kind", "storage", "MB", "ms", "seconds")
-
-
-def held_out_error(data: Dataset, predict: OnnxModel) -> float:
-    """Relative RMS on the held-out clips."""
-    total, rows = ErrorSum(), data.held_out_poses()
-    for start in range(0, len(rows), 8):
-        block = rows[start : start + 8]
-        total.add(predict(data.read("pose", block)), data.read("visibility", block))
-    return total.rms()
 
 
 def rows_of(name: str) -> list[list[str]]:
@@ -62,7 +51,7 @@ def rows_of(name: str) -> list[list[str]]:
         choice = best(compare(candidates, budget, milliseconds), budget)
         proto = build_onnx(candidates.finished(choice)).SerializeToString()
         predict = OnnxModel(proto, threads=2)
-        error = held_out_error(data, predict)
+        error = held_out_errors(data, predict)["rms"]
         rows.append(
             [
                 f"{name}, {per_cent(target)}",

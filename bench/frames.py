@@ -24,7 +24,7 @@ from data_gen.visibility import trace_pose
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.frames import FrameField, orthonormal_frames, rest_tangents
 from prtnet.scene import Geometry, Receivers, Scene
-from prtnet.tangents import perpendicular, tangents_beside
+from prtnet.tangents import perpendicular, rolled, tangents_beside
 
 STEP = 1 / 30  # seconds between the two poses that drift is measured over
 
@@ -60,15 +60,6 @@ class NormalFrames(FrameField):
         return orthonormal_frames(axis, surface.normals).astype(np.float32)
 
 
-def transported(tangents: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Tangents (…, 3) turned by the smallest rotation that takes normal ``start`` to ``end``."""
-    axis = np.cross(start, end)
-    cosine = np.sum(start * end, axis=-1, keepdims=True)
-    along = np.sum(axis * tangents, axis=-1, keepdims=True)
-    turned = cosine * tangents + np.cross(axis, tangents)
-    return turned + axis * along / np.maximum(1 + cosine, 1e-6)
-
-
 def angles(a: FloatArray, b: FloatArray) -> FloatArray:
     """Angles between unit vectors in degrees."""
     return np.degrees(np.arccos(np.clip(np.sum(a * b, axis=-1), -1, 1)))
@@ -78,7 +69,7 @@ def smoothness(frames: FloatArray, edges: IntArray) -> tuple[float, float]:
     """Mean turn, and share of jumps, over neighbours on the smooth surface."""
     i, j = edges
     t, n = frames[..., 0].astype(np.float64), frames[..., 2].astype(np.float64)
-    turn = angles(transported(t[:, i], n[:, i], n[:, j]), t[:, j])
+    turn = angles(rolled(t[:, i], n[:, i], n[:, j]), t[:, j])
     return float(turn.mean()), float(np.mean(turn > 45))
 
 

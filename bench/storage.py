@@ -9,9 +9,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tables import HUMAN, OUT, dataset, per_cent, publish
+from tables import HUMAN, OUT, dataset, held_out_errors, per_cent, publish
 
-from prtnet.metrics import ErrorSum
 from prtnet.model import VisibilityModel
 from prtnet.storage import STORAGES
 from training.export import export_folder
@@ -25,7 +24,6 @@ MODELS = {
 def main() -> None:
     """Every storage of both models: what lies on disk and on the GPU, and the held-out error."""
     data = dataset("human", "human.glb", HUMAN)
-    held_out = data.held_out_poses()
     rows = []
     for name, label in MODELS.items():
         path = OUT / f"human {name}.safetensors"
@@ -33,10 +31,7 @@ def main() -> None:
             sys.exit(f"{path} is not there: run bench/models.py human first")
         trained = VisibilityModel.load(path)
         for storage in STORAGES:
-            model, error = trained.stored_as(storage), ErrorSum()
-            for start in range(0, len(held_out), 16):
-                block = held_out[start : start + 16]
-                error.add(model(data.read("pose", block)), data.read("visibility", block))
+            model = trained.stored_as(storage)
             with tempfile.TemporaryDirectory() as folder:
                 file = Path(folder) / "model.safetensors"
                 model.save(file)
@@ -46,7 +41,7 @@ def main() -> None:
             rows.append(
                 [
                     f"{label}, {storage}",
-                    per_cent(error.summary()["rms"]),
+                    per_cent(held_out_errors(data, model)["rms"]),
                     *(f"{sizes[part] / 1e6:.2f}" for part in shown),
                 ]
             )

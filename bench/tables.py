@@ -11,12 +11,14 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from data_gen.generate import GenerateConfig, generate
 from data_gen.readers import read_scene
+from prtnet.arrays import FloatArray
 from prtnet.dataset import Dataset
+from prtnet.metrics import ErrorSum
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = ROOT.parent / "shared" / "data"
@@ -59,6 +61,17 @@ def made_with(data: Dataset, config: GenerateConfig) -> bool:
         "held_out": list(config.holdout), "two_sided": config.two_sided,
     }  # fmt: skip
     return all(data.attributes.get(name) == value for name, value in wanted.items())
+
+
+def held_out_errors(
+    data: Dataset, predict: Callable[[FloatArray], FloatArray], every: int = 1
+) -> dict[str, float]:
+    """``rms``, ``p99`` and ``max`` of predictions of every so many held-out poses."""
+    total, rows = ErrorSum(), data.held_out_poses()[::every]
+    for start in range(0, len(rows), 8):
+        block = rows[start : start + 8]
+        total.add(predict(data.read("pose", block)), data.read("visibility", block))
+    return total.summary()
 
 
 def machine() -> str:

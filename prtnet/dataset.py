@@ -12,7 +12,7 @@ import contextlib
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,16 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
 from prtnet.files import finish, remove
 
-__all__ = ["FORMAT_VERSION", "SAMPLED", "Block", "Dataset", "DatasetWriter", "Rows"]
+__all__ = [
+    "FORMAT_VERSION",
+    "SAMPLED",
+    "Block",
+    "Dataset",
+    "DatasetWriter",
+    "Rows",
+    "evenly",
+    "sampled_clip",
+]
 
 FORMAT_VERSION = 1
 SAMPLED = "sampled"  # the name of the clip that sampled poses belong to
@@ -228,6 +237,16 @@ class Dataset:
     def poses_of(self, clip: str) -> IntArray:
         """Indices of the poses of a clip."""
         return np.flatnonzero(self.clip == self.clip_names.index(clip))
+
+
+def sampled_clip(names: Sequence[str]) -> int | None:
+    """The index of the clip of sampled poses among a dataset's clip names, None without one."""
+    return names.index(SAMPLED) if SAMPLED in names else None
+
+
+def evenly(rows: IntArray, most: int) -> IntArray:
+    """At most so many of some poses, evenly chosen, the first and the last among them."""
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int))]
 
 
 class DatasetWriter:

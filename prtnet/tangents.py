@@ -27,7 +27,7 @@ from prtnet.scene import (
     unit,
 )
 
-__all__ = ["rest_tangents", "surface_graph", "tangents_beside"]
+__all__ = ["rest_tangents", "rolled", "surface_graph", "tangents_beside"]
 
 SWEEPS = 100  # of smoothing: a hundredth of a second each, and seams vanish
 CLUSTERS = 32  # of a point cache
@@ -184,3 +184,12 @@ def tangents_beside(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     if short.any():
         flat[short] = any_tangent(normals[short])
     return unit(perpendicular(unit(flat), normals), (1.0, 0.0, 0.0))
+
+
+def rolled(vectors: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Vectors (..., 3) after the smallest turn from unit normals ``start`` to ``end``."""
+    axis = np.cross(start, end)
+    cosine = np.sum(start * end, axis=-1, keepdims=True)
+    along = np.sum(axis * vectors, axis=-1, keepdims=True)
+    turned = cosine * vectors + np.cross(axis, vectors)
+    return turned + axis * along / np.maximum(1.0 + cosine, 1e-6)

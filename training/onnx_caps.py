@@ -8,10 +8,10 @@ from typing import Any
 
 from prtnet import sh
 from prtnet.occluders import cap_integral_rows
-from prtnet.surroundings import SMALLEST, SOFTEST
+from prtnet.surroundings import SOFTEST
 from training.onnx_expression import Value
 
-__all__ = ["cap_sum_nodes", "cross", "dot", "unit"]
+__all__ = ["cap_sum_nodes"]
 
 
 def cap_sum_nodes(
@@ -38,19 +38,3 @@ def cap_sum_nodes(
         for own in weighed
         for index, row in enumerate(rows)
     ]
-
-
-def dot(a: Value, b: Value) -> Value:
-    """Scalar products (P, 1, …) of vectors (P, 3, …)."""
-    return (a * b).total(1)
-
-
-def cross(a: Value, b: Value) -> Value:
-    """Cross products of vectors (P, 3, …)."""
-    ahead, behind = [1, 2, 0], [2, 0, 1]
-    return a.take(ahead, 1) * b.take(behind, 1) - a.take(behind, 1) * b.take(ahead, 1)
-
-
-def unit(vectors: Value) -> Value:
-    """Unit vectors (P, 3, …); a vanishing one stays nearly zero."""
-    return vectors / dot(vectors, vectors).clip(SMALLEST).sqrt()

@@ -26,6 +26,7 @@ from prtnet.files import writing
 from prtnet.model import Regressor, VisibilityModel
 from prtnet.storage import Stored
 from training.clamping import UnitBox, clamp_nodes, from_unit_nodes, unit_box
+from training.onnx_expression import Value, cross, dot, unit
 from training.onnx_graph import GraphBuilder
 from training.onnx_prior import prior_nodes
 from training.reconstruction import LatentLayer, latent_layer, visibility_nodes
@@ -58,41 +59,17 @@ def joint_angle_nodes(graph: GraphBuilder, features: JointAngles) -> str:
     return graph.reshape(graph.slice(local, 0, 2, 3), [-1, 1, 6 * len(features.joint)])
 
 
-def unit_nodes(graph: GraphBuilder, vectors: str) -> str:
-    """Unit vectors of (P, 3, E); a vanishing one stays nearly zero."""
-    square = graph.clip(graph.total(graph.node("Mul", vectors, vectors), 1, keep=True), SMALLEST)
-    return graph.node("Div", vectors, graph.node("Sqrt", square))
-
-
-def cross_nodes(graph: GraphBuilder, a: str, b: str) -> str:
-    """Cross products of (P, 3, E)."""
-    ahead, behind = graph.constant(np.array([1, 2, 0])), graph.constant(np.array([2, 0, 1]))
-
-    def product(first: str, second: str) -> str:
-        left = graph.node("Gather", a, first, axis=1)
-        return graph.node("Mul", left, graph.node("Gather", b, second, axis=1))
-
-    return graph.node("Sub", product(ahead, behind), product(behind, ahead))
-
-
 def dihedral_angle_nodes(graph: GraphBuilder, features: DihedralAngles, pose_size: int) -> str:
     """(P, 1, E) 2 sin(θ/2) of every interior edge."""
     points = graph.reshape("pose", [-1, pose_size // 3, 3])
-    points = graph.node("Transpose", points, perm=[0, 2, 1])
-    start, end, left, right = (
-        graph.node("Gather", points, graph.index(features.edge[:, k]), axis=2) for k in range(4)
-    )
-    along, left, right = (
-        unit_nodes(graph, graph.node("Sub", vertex, start)) for vertex in (end, left, right)
-    )
-    first = unit_nodes(graph, cross_nodes(graph, along, left))
-    second = unit_nodes(graph, cross_nodes(graph, right, along))
-    cosine = graph.total(graph.node("Mul", first, second), 1, keep=True)
-    sine = graph.node("Mul", cross_nodes(graph, first, second), along)
-    two = graph.constant(2.0)
-    twice = graph.node("Mul", graph.total(sine, 1, keep=True), two)
-    base = graph.clip(graph.node("Add", graph.node("Mul", cosine, two), two), FULL_FOLD)
-    return graph.node("Div", twice, graph.node("Sqrt", base))
+    every = Value(graph, graph.node("Transpose", points, perm=[0, 2, 1]))
+    start, *others = (every.take(features.edge[:, k], 2) for k in range(4))
+    along, left, right = (unit(vertex - start, SMALLEST) for vertex in others)
+    first = unit(cross(along, left), SMALLEST)
+    second = unit(cross(right, along), SMALLEST)
+    twice = dot(cross(first, second), along) * 2.0
+    base = (dot(first, second) * 2.0 + 2.0).clip(FULL_FOLD)
+    return (twice / base.sqrt()).name
 
 
 def local_joint_nodes(graph: GraphBuilder, features: LocalJoints) -> str:

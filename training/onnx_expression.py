@@ -12,7 +12,7 @@ import numpy as np
 
 from training.onnx_graph import GraphBuilder
 
-__all__ = ["Value"]
+__all__ = ["Value", "cross", "dot", "unit"]
 
 
 class Value:
@@ -99,3 +99,19 @@ class Value:
     def reshaped(self, *shape: int) -> Value:
         """Another shape; −1 is inferred."""
         return Value(self.graph, self.graph.reshape(self.name, shape))
+
+
+def dot(a: Value, b: Value, axis: int = 1) -> Value:
+    """Scalar products of vectors along an axis, which stays."""
+    return (a * b).total(axis)
+
+
+def cross(a: Value, b: Value, axis: int = 1) -> Value:
+    """Cross products of vectors along an axis."""
+    ahead, behind = [1, 2, 0], [2, 0, 1]
+    return a.take(ahead, axis) * b.take(behind, axis) - a.take(behind, axis) * b.take(ahead, axis)
+
+
+def unit(vectors: Value, smallest: float, axis: int = 1) -> Value:
+    """Unit vectors along an axis; one whose squared length is below ``smallest`` stays short."""
+    return vectors / dot(vectors, vectors, axis).clip(smallest).sqrt()

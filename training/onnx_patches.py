@@ -11,6 +11,7 @@ from prtnet import sh
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.patches import SMALLEST, PatchSurroundings, flipped
 from prtnet.surroundings import SOFTEST
+from training.onnx_expression import Value, cross, dot, unit
 from training.onnx_graph import GraphBuilder
 
 __all__ = ["padded_rows", "patch_nodes"]
@@ -39,28 +40,6 @@ def sparse_nodes(graph: GraphBuilder, matrix: scipy.sparse.csr_array, values: st
     return graph.total(weighed, 2)
 
 
-def cross_nodes(graph: GraphBuilder, a: str, b: str) -> str:
-    """Cross products of (P, N, 3)."""
-    ahead, behind = graph.constant(np.array([1, 2, 0])), graph.constant(np.array([2, 0, 1]))
-
-    def product(first: str, second: str) -> str:
-        left = graph.node("Gather", a, first, axis=2)
-        return graph.node("Mul", left, graph.node("Gather", b, second, axis=2))
-
-    return graph.node("Sub", product(ahead, behind), product(behind, ahead))
-
-
-def dot_nodes(graph: GraphBuilder, a: str, b: str, axis: int = 2) -> str:
-    """Dot products along an axis, which is kept."""
-    return graph.total(graph.node("Mul", a, b), axis, keep=True)
-
-
-def unit_nodes(graph: GraphBuilder, vectors: str) -> str:
-    """Unit vectors of (P, N, 3); a vanishing one stays (nearly) zero."""
-    square = graph.clip(dot_nodes(graph, vectors, vectors), SMALLEST)
-    return graph.node("Div", vectors, graph.node("Sqrt", square))
-
-
 def offset_nodes(graph: GraphBuilder, points: str, index: IntArray, here: str) -> str:
     """Vectors (P, R, 3, K) from ``here`` (P, R, 3, 1) to points ``index`` (R, K).
 
@@ -74,12 +53,13 @@ def axes_nodes(
     graph: GraphBuilder, surroundings: PatchSurroundings, carried: str, crosses: str
 ) -> str:
     """Frames (P, R, 3, 3) of the front receivers, *rows* tangent, bitangent, normal."""
-    normal = unit_nodes(graph, sparse_nodes(graph, surroundings.around, crosses))
-    along = graph.node("Mul", normal, dot_nodes(graph, carried, normal))
-    tangent = unit_nodes(graph, graph.node("Sub", carried, along))
-    rows = (tangent, cross_nodes(graph, normal, tangent), normal)  # [P, R, 3] each
-    shape = [-1, len(surroundings.vertex), 1, 3]
-    return graph.node("Concat", *(graph.reshape(row, shape) for row in rows), axis=2)
+    tangent = Value(graph, carried)
+    normal = Value(graph, sparse_nodes(graph, surroundings.around, crosses))
+    normal = unit(normal, SMALLEST, 2)
+    tangent = unit(tangent - normal * dot(tangent, normal, 2), SMALLEST, 2)
+    rows = (tangent, cross(normal, tangent, 2), normal)  # [P, R, 3] each
+    shape = (-1, len(surroundings.vertex), 1, 3)
+    return graph.node("Concat", *(row.reshaped(*shape).name for row in rows), axis=2)
 
 
 def patch_table_nodes(
@@ -193,8 +173,10 @@ def patch_nodes(graph: GraphBuilder, surroundings: PatchSurroundings, pose_size:
     corner = [graph.constant(surroundings.faces[:, k]) for k in range(3)]
     a, b, c = (graph.node("Gather", points, index, axis=1) for index in corner)
     scale = graph.constant(1.0 / size)
-    edges = (graph.node("Mul", graph.node("Sub", end, a), scale) for end in (b, c))
-    crosses = cross_nodes(graph, *edges)
+    left, right = (
+        Value(graph, graph.node("Mul", graph.node("Sub", end, a), scale)) for end in (b, c)
+    )
+    crosses = cross(left, right, 2).name
     here = graph.node("Gather", points, graph.index(surroundings.vertex), axis=1)
     here = graph.reshape(here, [-1, receivers, 3, 1])
     carried = offset_nodes(graph, points, surroundings.carry_vertex, here)
@@ -212,13 +194,12 @@ def patch_nodes(graph: GraphBuilder, surroundings: PatchSurroundings, pose_size:
     seen = graph.node("Gather", table, index, axis=1)  # [P, R, K, 6]
     seen = graph.node("Transpose", seen, perm=[0, 1, 3, 2])
     centres, areas = graph.slice(seen, 0, 3, 2), graph.slice(seen, 3, 6, 2)
-    away = graph.node("Mul", graph.node("Sub", centres, here), scale)
-    distance2 = graph.clip(dot_nodes(graph, away, away), SMALLEST)
-    toward = graph.node("Div", away, graph.node("Sqrt", distance2))
-    facing = dot_nodes(graph, areas, toward)
-    facing = graph.node("Sqrt", graph.node("Mul", facing, facing))
-    local = graph.node("MatMul", axes, toward)
-    front, total = cap_nodes(graph, surroundings, local, facing, distance2)
+    away = Value(graph, graph.node("Mul", graph.node("Sub", centres, here), scale))
+    distance2 = dot(away, away, 2).clip(SMALLEST)
+    toward = away / distance2.sqrt()
+    facing = dot(Value(graph, areas), toward, 2).magnitude()
+    local = graph.node("MatMul", axes, toward.name)
+    front, total = cap_nodes(graph, surroundings, local, facing.name, distance2.name)
     sides = [graph.node("Concat", control, front, axis=2)]
     if surroundings.two_sided:
         turn = np.repeat([1.0, -1.0, -1.0], len(surroundings.radius))

@@ -47,7 +47,7 @@ def prior_nodes(
     flat = graph.reshape(answer, [-1, slots.size, size])
     place = np.empty(prior.surroundings.receiver_count, dtype=np.int32)
     place[slots.ravel()[::-1]] = np.arange(slots.size)[::-1]  # the first slot of each receiver
-    return graph.node("Gather", flat, graph.initializer(place), axis=1)
+    return graph.node("Gather", flat, graph.index(place), axis=1)
 
 
 def seen_nodes(graph: GraphBuilder, prior: Prior, pose_size: int) -> tuple[IntArray, str]:

@@ -13,8 +13,8 @@ import numpy as np
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.skin_surroundings import SkinSurroundings
 from prtnet.surroundings import SMALLEST
-from training.onnx_caps import cap_sum_nodes, cross, dot, unit
-from training.onnx_expression import Value
+from training.onnx_caps import cap_sum_nodes
+from training.onnx_expression import Value, cross, dot, unit
 from training.onnx_graph import GraphBuilder
 
 __all__ = ["cluster_slots", "skin_nodes"]
@@ -87,9 +87,9 @@ def skin_nodes(graph: GraphBuilder, sees: SkinSurroundings) -> str:
     shape = (-1, 3, *slots.shape, 1)
     own = slots.ravel()
     receivers = Carried(carry, sees.skin_joint[own], sees.skin_weight[own])
-    normal = unit(receivers.area(sees.normal[own]))
+    normal = unit(receivers.area(sees.normal[own]), SMALLEST)
     tangent = receivers.vector(sees.tangent[own])
-    tangent = unit(tangent - dot(tangent, normal) * normal)
+    tangent = unit(tangent - dot(tangent, normal) * normal, SMALLEST)
     axes = [v.reshaped(*shape) for v in (tangent, cross(normal, tangent), normal)]
     place = receivers.point(sees.position[own]).reshaped(*shape)
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.dataset import SAMPLED, Dataset
+from prtnet.dataset import Dataset, evenly, sampled_clip
 from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
 from prtnet.storage import Storage
@@ -149,11 +149,11 @@ class Candidates:
     def __init__(self, dataset: Dataset, base: TrainConfig, monitor: Monitor | None = None) -> None:
         self.dataset, self.base, self.watch = dataset, base, monitor or Silent()
         self.rows = training_rows(dataset)
-        names = dataset.clip_names
         self.folds = folds_over_moments(
-            dataset.clip[self.rows], dataset.read("time", self.rows),
-            names.index(SAMPLED) if SAMPLED in names else None,
-        )  # fmt: skip
+            dataset.clip[self.rows],
+            dataset.read("time", self.rows),
+            sampled_clip(dataset.clip_names),
+        )
         if len(self.folds) < 2:
             raise PrtnetError(
                 dataset.path, "has too few training poses to judge models by; generate more, or "
@@ -315,11 +315,7 @@ def judged(
         parts += [
             marginal(part, some_poses(dataset, left_out[clip == own])) for own in np.unique(clip)
         ]
-    total = Marginal.joined(parts)
-    width = int(model.latents.max(initial=0)) - total.gain.shape[2]
-    total = dataclasses.replace(
-        total, gain=np.pad(total.gain, ((0, 0), (0, 0), (0, max(0, width))))
-    )
+    total = Marginal.joined(parts, int(model.latents.max(initial=0)))
     order = front(total.votes(), model.latents, base_step(config))
     poses = dataset.read("pose", rows[:: max(1, len(rows) // ROUNDED)][:ROUNDED])
     answer = model(poses)
@@ -338,7 +334,7 @@ def base_step(config: TrainConfig) -> int:
 
 def some_poses(dataset: Dataset, rows: IntArray) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Evenly chosen poses with their visibility, block by block."""
-    chosen = rows[np.unique(np.linspace(0, len(rows) - 1, JUDGED).round().astype(int))]
+    chosen = evenly(rows, JUDGED)
     for start in range(0, len(chosen), BLOCK):
         block = chosen[start : start + BLOCK]
         yield dataset.read("pose", block), dataset.read("visibility", block)

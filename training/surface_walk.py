@@ -17,6 +17,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.tangents import rolled
 
 __all__ = ["ComplexArray", "SurfaceWalk", "edge_graph"]
 
@@ -101,12 +102,3 @@ def unit(values: ComplexArray) -> ComplexArray:
     """Complex numbers (N,) of length one; zero becomes one."""
     length = np.abs(values)
     return np.where(length > 0, values / np.where(length > 0, length, 1.0), 1.0)
-
-
-def rolled(vectors: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Vectors (..., 3) after the smallest turn from unit normals ``start`` to ``end``."""
-    axis = np.cross(start, end)
-    cosine = np.sum(start * end, axis=-1, keepdims=True)
-    along = np.sum(axis * vectors, axis=-1, keepdims=True)
-    turned = cosine * vectors + np.cross(axis, vectors)
-    return turned + axis * along / np.maximum(1.0 + cosine, 1e-6)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from prtnet import __version__
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.dataset import SAMPLED, Dataset
+from prtnet.dataset import SAMPLED, Dataset, evenly, sampled_clip
 from prtnet.errors import PrtnetError
 from prtnet.features import Features
 from prtnet.metrics import ErrorSum
@@ -256,8 +256,7 @@ def with_products_and_smoothness(
         products = Products(data.inputs, config.leading)
         data = dataclasses.replace(data, inputs=products(data.inputs), products=products)
     if config.kind in ("linear", "quadratic") and config.smoothness > 0:
-        names = dataset.clip_names
-        sampled = names.index(SAMPLED) if SAMPLED in names else None
+        sampled = sampled_clip(dataset.clip_names)
         steps = consecutive(dataset.read("clip", rows), dataset.read("time", rows), sampled)
         smoothness = config.smoothness * change_covariance(data.inputs, steps)
         data = dataclasses.replace(data, smoothness=smoothness)
@@ -406,9 +405,8 @@ def describe(
 
 def report_errors(model: VisibilityModel, dataset: Dataset, watch: Monitor) -> None:
     """Training and held-out errors by the reference evaluation, into the metadata."""
-    known = dataset.training_poses()
-    evenly = np.unique(np.linspace(0, len(known) - 1, min(len(known), JUDGED)).round().astype(int))
-    for name, rows in (("training", known[evenly]), ("held_out", dataset.held_out_poses())):
+    known = evenly(dataset.training_poses(), JUDGED)
+    for name, rows in (("training", known), ("held_out", dataset.held_out_poses())):
         if len(rows) == 0:
             continue
         watch.stage(f"{name.replace('_', '-')} error")

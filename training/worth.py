@@ -36,9 +36,9 @@ class Marginal:
     gain: FloatArray
 
     @staticmethod
-    def joined(parts: Sequence[Marginal]) -> Marginal:
-        """The sets of all; a component that some lack brings nothing there."""
-        width = max(part.gain.shape[2] for part in parts)
+    def joined(parts: Sequence[Marginal], width: int = 0) -> Marginal:
+        """The sets of all, L at least ``width``; a component that a set lacks brings nothing."""
+        width = max(width, *(part.gain.shape[2] for part in parts))
         padded = [
             np.pad(part.gain, ((0, 0), (0, 0), (0, width - part.gain.shape[2]))) for part in parts
         ]
