@@ -98,6 +98,7 @@ def human() -> None:
         ("preset small", PRESETS["small"]),
         ("preset fast", PRESETS["fast"]),
         ("preset large", PRESETS["large"]),
+        ("preset large, 8 bits", dataclasses.replace(PRESETS["large"], storage="int8")),
         ("preset tiny", PRESETS["tiny"]),
         ("preset best", PRESETS["best"]),
     ):
