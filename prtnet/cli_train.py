@@ -51,7 +51,7 @@ def summary(results: Mapping[str, Any]) -> dict[str, Any]:
 def compared(search: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """What a search compared, as a table for people."""
     return {
-        f"{each['family']}, {each['storage']}": {
+        each["family"]: {
             "expected": f"{100 * each['error']:.2f} %",
             "MB": f"{each['model_bytes'] / 1e6:.2f}",
             "ms": "–" if each["ms"] is None else f"{each['ms']:.3f}",

@@ -11,19 +11,29 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import safetensors
 import safetensors.numpy
 
+from prtnet import sh
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.components import Coding, coding, leading_bits
 from prtnet.errors import PrtnetError
 from prtnet.features import Features, features_from_arrays
 from prtnet.files import writing
+from prtnet.model_file import (
+    ARRAYS,
+    check_shapes,
+    flattened,
+    read,
+    read_prior,
+    restored,
+    with_components,
+    without_components,
+)
 from prtnet.novelty import fade, novelty
 from prtnet.prior import Prior, prior_from_arrays, prior_packings
 from prtnet.storage import (
@@ -39,7 +49,7 @@ from prtnet.time_range import is_seen
 
 __all__ = ["FORMAT_VERSION", "KINDS", "Regressor", "VisibilityModel"]
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 KINDS = ("constant", "linear", "quadratic", "neural", "hybrid", "shared")
 
 
@@ -101,6 +111,9 @@ class VisibilityModel:
             ``shared``: mean and components are then those of what it leaves. None elsewhere.
         signal: visibility's mean over the training poses, (V, n²), beside a prior; None elsewhere,
             where ``mean`` is just that.
+        neurons: of each cluster's tanh layer, (C,): weights of the others are zero. None where all
+            clusters use all.
+        coding: how the components are stored; only under ``int4``.
     """
 
     kind: str
@@ -119,6 +132,8 @@ class VisibilityModel:
     input_high: FloatArray | None = None
     prior: Prior | None = None
     signal: FloatArray | None = None
+    neurons: IntArray | None = None
+    coding: Coding | None = None
 
     @property
     def receiver_count(self) -> int:
@@ -164,9 +179,20 @@ class VisibilityModel:
         name: Storage = self.metadata.get("storage", "float32")
         return name
 
-    def stored_as(self, storage: Storage) -> VisibilityModel:
-        """The model whose arrays are rounded to what ``storage`` can hold."""
+    def stored_as(self, storage: Storage, how: Coding | None = None) -> VisibilityModel:
+        """The model whose arrays are rounded to what ``storage`` can hold.
+
+        Args:
+            storage: of the file and the export.
+            how: components are coded under ``int4``; as they are already, or else the leading ones
+                in 8 bits and the others in 4, when not given.
+        """
         model = dataclasses.replace(self, metadata={**self.metadata, "storage": storage})
+        if storage == "int4":
+            how = how or self.coding or self.usual_coding()
+            model = dataclasses.replace(model, coding=how, basis=how.encode(self.basis).array())
+        else:
+            model = dataclasses.replace(model, coding=None)
         owned: dict[str, dict[str, Any]] = {"": {}, "regressor": {}, "prior": {}}
         for name in model.packings:
             owner, _, attribute = name.rpartition(".")
@@ -177,6 +203,12 @@ class VisibilityModel:
             arrays = prior.arrays() | owned["prior"]
             prior = prior_from_arrays(prior.kind, prior.surroundings.kind, arrays)
         return dataclasses.replace(model, regressor=regressor, prior=prior, **owned[""])
+
+    def usual_coding(self) -> Coding:
+        """Of components whose energy their weights tell: what they see is of about unit size."""
+        energy = np.square(self.regressor.weight, dtype=np.float64).sum(axis=1)
+        used = np.arange(energy.shape[1]) < self.latents[:, None]
+        return coding(self.basis, self.order**2, leading_bits(energy[used]))
 
     def stored(self, name: str) -> Stored:
         """An array as it is stored, by its name in the file."""
@@ -191,28 +223,34 @@ class VisibilityModel:
     def packings(self) -> dict[str, Packing]:
         """How each stored array is packed, by its name in the file; all else is float32.
 
-        In 8 bits components have a scale each, means one a coefficient, as deviations from open
-        visibility, and matrices one a column. Those of a quadratic model stay in half precision:
-        weights on products are small, products are large, and magnify the error of their inputs.
+        In 8 bits components have a scale each, means one a coefficient, as deviations from half a
+        hemisphere open, what a prior leaves from zero, and matrices one a column. Those of a
+        quadratic model stay in half precision: weights on products are small, products are large,
+        and magnify the error of their inputs.
         """
         kind = self.storage
         if kind == "float32":
             return {}
-        opened = np.zeros(self.order**2, dtype=np.float32)
-        opened[0] = math.sqrt(4.0 * math.pi)
+        components: dict[str, Packing] = {} if kind == "int4" else {"basis": Packing(kind)}
+        if kind == "int4":  # is of components alone
+            kind = "int8"
+        closed = sh.lower_hemisphere(self.order)
+        half_open = closed / 2.0
+        half_open[0] += math.sqrt(math.pi)
         inner: Storage = kind if self.regressor.pairs is None else "float16"
         matrices = {"input_basis": self.input_basis, "regressor.weight": self.regressor.weight}
         if self.regressor.hidden_weight is not None:
             matrices["regressor.hidden_weight"] = self.regressor.hidden_weight
-        means = Packing(kind, axis=(-2, -1), period=self.order**2, offset=opened)
-        beside = {} if self.signal is None else {"signal": means}
+        left = Packing(kind, axis=(-2, -1), period=self.order**2)
+        signal = dataclasses.replace(left, offset=half_open.astype(np.float32))
+        beside = {} if self.signal is None else {"signal": signal}
         if self.prior is not None:
             own = prior_packings(self.prior, kind)
             beside |= {f"prior.{name}": packing for name, packing in own.items()}
         return {
-            "mean": means,
+            "mean": signal if self.prior is None else left,
             **beside,
-            "basis": Packing(kind),
+            **components,
             "rest_tangents": Packing("float16", axis=(-2, -1)),
             **{
                 name: Packing(inner, axis=(-2, -1), period=matrix.shape[-1])
@@ -329,7 +367,11 @@ class VisibilityModel:
             arrays["signal"] = self.signal
         arrays |= {f"regressor.{name}": a for name, a in self.regressor.arrays().items()}
         arrays |= {f"features.{name}": a for name, a in self.features.arrays().items()}
-        arrays = {n: np.ascontiguousarray(a) for n, a in pack(arrays, self.packings).items()}
+        if self.regressor.hidden_bias is not None:
+            whole = np.full(len(self.regressor.hidden_bias), self.regressor.hidden_bias.shape[1])
+            arrays["neurons"] = whole if self.neurons is None else self.neurons
+        arrays = without_components(self, pack(arrays, self.packings))
+        arrays = {n: np.ascontiguousarray(a) for n, a in flattened(arrays).items()}
         with writing(path) as partial:
             # ``save_file`` would make a file that nobody else may read.
             partial.write_bytes(safetensors.numpy.save(arrays, {"prtnet": json.dumps(header)}))
@@ -352,7 +394,11 @@ class VisibilityModel:
             parts: dict[str, dict[str, Any]] = {"features": {}, "regressor": {}, "prior": {}}
             if header.get("storage", "float32") not in STORAGES:
                 raise ValueError(f"no storage is called {header['storage']}")
+            arrays, how = with_components(restored(arrays), int(header["order"]))
             arrays = unpack(arrays)
+            neurons = arrays.pop("neurons", None)
+            if neurons is not None and (neurons == neurons.max()).all():
+                neurons = None
             for name, array in arrays.items():
                 room, _, rest = name.partition(".")
                 if rest:
@@ -368,6 +414,8 @@ class VisibilityModel:
                 input_high=arrays.get("input_high"),
                 prior=read_prior(header, parts["prior"]),
                 signal=arrays.get("signal"),
+                neurons=neurons,
+                coding=how,
             )
             check_shapes(model)
         except (KeyError, TypeError, ValueError, IndexError) as error:
@@ -377,81 +425,4 @@ class VisibilityModel:
         return model
 
 
-ARRAYS = ("input_mean", "input_basis", "latents", "receivers", "mean", "basis", "rest_tangents")
 RANGE_ARRAYS = ("input_low", "input_high")
-
-
-def read_prior(header: Mapping[str, Any], arrays: dict[str, Any]) -> Prior | None:
-    """The prior of a file, None where it has none."""
-    if header.get("prior") is None:
-        return None
-    return prior_from_arrays(header["prior"], header["surroundings"], arrays)
-
-
-def read(path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
-    """Header and arrays of a safetensors file."""
-    if not path.is_file():
-        raise PrtnetError(path, "does not exist or is no file; give a trained .safetensors model")
-    try:
-        with safetensors.safe_open(path, framework="numpy") as file:
-            text = (file.metadata() or {}).get("prtnet")
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        header = json.loads(text) if text else None
-    except (OSError, ValueError, safetensors.SafetensorError) as error:
-        raise PrtnetError(path, f"is damaged or no safetensors file ({error})") from error
-    if not isinstance(header, dict):
-        raise PrtnetError(path, "is a safetensors file but no prtnet model; train one first")
-    return header, arrays
-
-
-def check_shapes(model: VisibilityModel) -> None:
-    """Raise ValueError where arrays do not fit each other."""
-    groups, slots = model.receivers.shape
-    width = slots * model.order**2
-    expected = {
-        "mean": (groups, width),
-        "basis": (int(model.latents.sum()), width),
-        "latents": (groups,),
-    }
-    for name, shape in expected.items():
-        if getattr(model, name).shape != shape:
-            raise ValueError(f"{name} has shape {getattr(model, name).shape}, expected {shape}")
-    flat = np.sort(model.receivers[model.receivers >= 0])
-    if not np.array_equal(flat, np.arange(model.receiver_count)):
-        raise ValueError("receivers are not each in exactly one slot")
-    width = int(model.latents.max(initial=0))
-    inner = model.input_basis.shape[2]
-    clusters = groups // model.parts
-    if clusters * model.parts != groups or len(model.input_basis) not in (1, clusters):
-        raise ValueError("clusters do not all have equally many groups")
-    if model.regressor.hidden_weight is not None:
-        neurons = model.regressor.weight.shape[1]
-        if model.regressor.hidden_weight.shape != (clusters, inner, neurons):
-            raise ValueError("regressor.hidden_weight does not fit the inputs and neurons")
-        inner = neurons
-    pairs = model.regressor.pairs
-    if pairs is not None:
-        if pairs.ndim != 2 or len(pairs) != 2 or not ((pairs >= 0) & (pairs < inner)).all():
-            raise ValueError("regressor.pairs are no pairs of the inputs")
-        inner += pairs.shape[1]
-    if model.regressor.weight.shape[:2] != (groups, inner) or (
-        model.regressor.weight.shape[2] < width
-    ):
-        raise ValueError("regressor.weight does not fit the clusters, inputs and latents")
-    span = model.training_range()
-    if span and [a.shape for a in span.values()] != 2 * [model.input_basis[:, 0].shape]:
-        raise ValueError("input_low and input_high do not fit the inputs, or one is missing")
-    every = {name: getattr(model, name) for name in ARRAYS} | span
-    if model.prior is not None:
-        count, size = model.prior.surroundings.receiver_count, model.order**2
-        if (count, model.prior.answer_size) != (model.receiver_count, size):
-            raise ValueError("the prior does not fit the receivers and the order")
-        every |= {f"prior.{name}": array for name, array in model.prior.arrays().items()}
-    if model.signal is not None:
-        if model.signal.shape != (model.receiver_count, model.order**2):
-            raise ValueError("signal does not fit the receivers and the order")
-        every["signal"] = model.signal
-    every |= model.regressor.arrays() | model.features.arrays()
-    for name, array in every.items():
-        if not np.isfinite(array).all():
-            raise ValueError(f"{name} holds values that are not finite")

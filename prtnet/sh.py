@@ -35,6 +35,7 @@ __all__ = [
     "fibonacci_hemisphere",
     "fibonacci_sphere",
     "gradient",
+    "lower_hemisphere",
     "order_of",
     "product_matrix",
     "project_function",
@@ -349,6 +350,17 @@ def product_matrix(
     operator = gamma.transpose(0, 2, 1).reshape(len(gamma), -1)
     flat = coefficients @ constant_like(operator, coefficients)
     return flat.reshape(*coefficients.shape[:-1], gamma.shape[2], gamma.shape[1])
+
+
+def lower_hemisphere(order: int) -> FloatArray:
+    """Coefficients (n²) of what is 1 below the horizon z = 0 and 0 above it."""
+    z, weight = np.polynomial.legendre.leggauss(order)
+    z = (z - 1.0) / 2.0
+    values = evaluate(np.stack([np.sqrt(1.0 - z * z), 0.0 * z, z], axis=1), order)
+    degree = np.arange(order)
+    zonal = np.zeros(order**2)
+    zonal[degree * (degree + 1)] = math.pi * (weight @ values)[degree * (degree + 1)]
+    return zonal
 
 
 def window(order: int, gamma: float) -> FloatArray:

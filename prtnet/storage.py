@@ -20,13 +20,14 @@ __all__ = [
     "Packing",
     "Storage",
     "Stored",
+    "coarse",
     "pack",
     "quantise",
     "rounded",
     "unpack",
 ]
 
-Storage = Literal["float32", "float16", "int8"]
+Storage = Literal["float32", "float16", "int8", "int4"]
 STORAGES: tuple[Storage, ...] = get_args(Storage)
 INTEGERS = (np.uint8, np.int16, np.int32)  # that indices are stored in
 MOST = 127  # 8-bit values lie in [−MOST, MOST], as the signed normalised texels of a GPU
@@ -93,8 +94,7 @@ def quantise(array: FloatArray, packing: Packing) -> Stored:
     largest = np.abs(value).max(axis=shared, keepdims=True, initial=0.0)
     largest = np.where(largest > 0, largest, 1.0)
     if packing.kind == "int8":
-        mantissa, exponent = np.frexp(largest / np.float32(MOST))
-        scale = np.ldexp(np.rint(mantissa * MANTISSA) / MANTISSA, exponent)
+        scale = coarse(largest / np.float32(MOST))
         values = np.clip(np.rint(value / scale), -MOST, MOST).astype(np.int8)
     elif packing.kind == "float16":  # a power of two: what fits in 11 bits stays as it is
         mantissa, exponent = np.frexp(largest)
@@ -104,6 +104,12 @@ def quantise(array: FloatArray, packing: Packing) -> Stored:
         return Stored(array.astype(np.float32), np.ones((1,) * array.ndim, dtype=np.float32))
     squeezed = scale.squeeze(-2).astype(np.float32)
     return Stored(values.reshape(array.shape), squeezed, packing.offset)
+
+
+def coarse(scale: FloatArray) -> FloatArray:
+    """Scales of few bits of mantissa: products with them can be taken apart again."""
+    mantissa, exponent = np.frexp(scale)
+    return np.ldexp(np.rint(mantissa * MANTISSA) / MANTISSA, exponent)
 
 
 def rounded(array: FloatArray, packing: Packing) -> FloatArray:

@@ -110,7 +110,7 @@ def random_model(
         mean=normal(groups, capacity * order**2),
         basis=normal(int(latents.sum()), capacity * order**2),
         rest_tangents=normal(receivers, 3),
-        metadata={"pose_size": 12 * joints + morphs, "format_version": 1},
+        metadata={"pose_size": 12 * joints + morphs, "format_version": 2},
         input_low=-np.abs(normal(shared, inputs)) if clamped else None,
         input_high=np.abs(normal(shared, inputs)) if clamped else None,
     )

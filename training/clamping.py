@@ -15,6 +15,7 @@ import numpy as np
 from prtnet.arrays import FloatArray
 from prtnet.novelty import FADE_SCALE, box_size
 from prtnet.storage import Stored
+from training.onnx_components import matrix_nodes
 from training.onnx_graph import GraphBuilder
 
 __all__ = ["UnitBox", "clamp_nodes", "from_unit_nodes", "unit_box"]
@@ -72,8 +73,9 @@ def from_unit_nodes(graph: GraphBuilder, box: UnitBox, weight: Stored, bias: Flo
     """(C, K + 1, N) from clamped units through a layer (C, K, N) and its bias (C, 1, N)."""
     if weight.values.dtype == np.float32:
         last = box.middle @ weight.values.astype(np.float64) + bias
-        return graph.constant(np.concatenate([box.half * weight.values, last], axis=1))
-    layer = graph.stored(weight)
+        whole = np.concatenate([box.half * weight.values, last], axis=1).astype(np.float32)
+        return matrix_nodes(graph, Stored(whole, np.ones((1, 1, 1), dtype=np.float32)))
+    layer = matrix_nodes(graph, weight)
     scaled = graph.node("Mul", graph.constant(box.half), layer)
     last = graph.node("MatMul", graph.constant(box.middle), layer)
     last = graph.node("Add", last, graph.constant(bias))

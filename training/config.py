@@ -92,8 +92,8 @@ class TrainConfig:
     seed: int = 0
     """Of clusters, spheres and starting weights."""
     storage: Storage = "float32"
-    """How the model's large arrays are stored: int8 is a quarter of the bytes, its error is of the
-    rounded model."""
+    """How the model's large arrays are stored: int8 is a quarter of the bytes; int4 has components
+    that explain little in half of that. Errors are of the rounded model."""
     device: str = "cpu"
     """Where torch fits: cpu, or cuda."""
 

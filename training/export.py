@@ -65,7 +65,8 @@ uploaded every frame |
 
 With t the texel of coefficient i (8-bit integers are signed normalised: t = q / 127),
 
-    visibility[i] = mean_offset[i] + mean_scale[i] t_mean[i] + sum over k of latent[k] t_k[i]
+    visibility[i] = mean_offset[i] + mean_scale[i] t_mean[i]
+                    + profile[i] (sum over k of latent[k] t_k[i])
 
 `latent.onnx` has the components' scales inside. `prtnet.glsl` does this in GLSL 3.30 or
 GLSL ES 3.00: put it behind your `#version` line and precision statements, bind the three textures,

@@ -32,7 +32,7 @@ __all__ = [
 WIDTH = 2048  # texels in a row of a texture; every WebGL 2 device has at least this
 COUNT_BITS = 12  # of a receiver's second number: its latents, below them where they begin
 
-FORMATS = {"int8": "RGBA8_SNORM", "float16": "RGBA16F", "float32": "RGBA32F"}
+FORMATS = {"int4": "RGBA8_SNORM", "int8": "RGBA8_SNORM", "float16": "RGBA16F", "float32": "RGBA32F"}
 
 GLSL = """\
 // Visibility of a receiver from a pose's latents: GLSL 3.30 and GLSL ES 3.00 (WebGL 2).
@@ -46,6 +46,7 @@ const highp int PRTNET_WIDTH = $WIDTH;  // texels in a row of a texture
 const highp int PRTNET_TEXELS = $TEXELS;  // of one receiver's $COEFFICIENTS coefficients
 const highp vec4 PRTNET_MEAN_SCALE[PRTNET_TEXELS] = vec4[PRTNET_TEXELS]($SCALE);
 const highp vec4 PRTNET_MEAN_OFFSET[PRTNET_TEXELS] = vec4[PRTNET_TEXELS]($OFFSET);
+const highp vec4 PRTNET_PROFILE[PRTNET_TEXELS] = vec4[PRTNET_TEXELS]($PROFILE);
 
 highp ivec2 prtnet_place(highp int index) {
     return ivec2(index % PRTNET_WIDTH, index / PRTNET_WIDTH);
@@ -65,7 +66,8 @@ void prtnet_visibility(highp int receiver, out highp vec4 v[PRTNET_TEXELS]) {
         texel += PRTNET_TEXELS;
         highp float weight = texelFetch(prtnet_latents, prtnet_place(latent), 0).r;
         for (highp int k = 0; k < PRTNET_TEXELS; ++k) {
-            v[k] += weight * texelFetch(prtnet_rows, prtnet_place(texel + k), 0);
+            v[k] += weight * PRTNET_PROFILE[k]
+                  * texelFetch(prtnet_rows, prtnet_place(texel + k), 0);
         }
     }
 }
@@ -81,6 +83,7 @@ class GPUTables:
         receivers: (height, WIDTH, 2) uint32: each receiver's first texel in ``rows``, and its first
             latent and number of latents, the latter in the low ``COUNT_BITS``.
         mean_scale, mean_offset: mean = offset + scale · texel, (n²,) each.
+        profile: what a coefficient's sum over components is multiplied by, (n²,).
         latent_scale: what each latent is to be multiplied by before a shader uses it, (Σ latents,).
     """
 
@@ -88,6 +91,7 @@ class GPUTables:
     receivers: Any
     mean_scale: FloatArray
     mean_offset: FloatArray
+    profile: FloatArray
     latent_scale: FloatArray
 
 
@@ -100,8 +104,15 @@ def gpu_tables(model: VisibilityModel) -> GPUTables:
     starts = np.cumsum(model.latents) - model.latents
     if model.latents.max() >= 2**COUNT_BITS or model.latents.sum() >= 2 ** (32 - COUNT_BITS):
         raise PrtnetError("model", "has too many latents for a shader; train it with fewer")
-    basis, mean = model.stored("basis"), model.stored("mean")
-    unit = MOST if model.storage == "int8" else 1  # a normalised texel is its integer over MOST
+    mean = model.stored("mean")
+    if model.coding is None:
+        basis, profile = model.stored("basis"), np.ones(model.order**2, dtype=np.float32)
+        values, scale = basis.values, basis.scale
+    else:
+        coded = model.coding.encode(model.basis)
+        values, scale, profile = coded.values, coded.scale, model.coding.profile
+    # A normalised texel is its integer over MOST.
+    unit = MOST if values.dtype == np.int8 else 1
     coefficients = model.order**2
     texels = -(-coefficients // 4)
     group, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
@@ -109,9 +120,9 @@ def gpu_tables(model: VisibilityModel) -> GPUTables:
     first = np.cumsum((1 + counts) * texels) - (1 + counts) * texels
     total = int(((1 + counts) * texels).sum())
     height = -(-total // WIDTH)
-    flat = np.zeros((height * WIDTH, 4), dtype=basis.values.dtype)
+    flat = np.zeros((height * WIDTH, 4), dtype=values.dtype)
     mean_rows = by_slot(mean.values, coefficients)
-    basis_rows = by_slot(basis.values, coefficients)
+    basis_rows = by_slot(values, coefficients)
     for row in range(1 + int(model.latents.max())):  # of all receivers that have so many
         has = np.flatnonzero(counts >= row)
         source, at = (mean_rows, group) if row == 0 else (basis_rows, starts[group] + row - 1)
@@ -128,7 +139,8 @@ def gpu_tables(model: VisibilityModel) -> GPUTables:
         entries.reshape(-1, WIDTH, 2),
         np.broadcast_to(unit * mean.scale.ravel(), coefficients).astype(np.float32),
         offset.astype(np.float32),
-        np.broadcast_to(unit * basis.scale[:, 0], len(basis.values)).astype(np.float32),
+        profile,
+        np.broadcast_to(unit * scale[:, 0], len(values)).astype(np.float32),
     )
 
 
@@ -147,6 +159,7 @@ def glsl(tables: GPUTables) -> str:
         "$COEFFICIENTS": str(coefficients),
         "$SCALE": vectors(tables.mean_scale, texels),
         "$OFFSET": vectors(tables.mean_offset, texels),
+        "$PROFILE": vectors(tables.profile, texels),
         "$BITS": str(COUNT_BITS),
         "$MASK": str(2**COUNT_BITS - 1),
     }
@@ -196,6 +209,7 @@ def write_gpu_tables(tables: GPUTables, folder: Path) -> None:
         "textures": textures,
         "mean_scale": tables.mean_scale.tolist(),
         "mean_offset": tables.mean_offset.tolist(),
+        "profile": tables.profile.tolist(),
     }
     (folder / "gpu.json").write_text(json.dumps(layout, indent=1) + "\n", encoding="utf-8")
     (folder / "prtnet.glsl").write_text(glsl(tables), encoding="utf-8")

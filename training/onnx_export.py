@@ -26,6 +26,7 @@ from prtnet.files import writing
 from prtnet.model import Regressor, VisibilityModel
 from prtnet.storage import Stored
 from training.clamping import UnitBox, clamp_nodes, from_unit_nodes, unit_box
+from training.onnx_components import matrix_nodes
 from training.onnx_expression import Value, cross, dot, unit
 from training.onnx_graph import GraphBuilder
 from training.onnx_prior import prior_nodes
@@ -50,7 +51,7 @@ def joint_angle_nodes(graph: GraphBuilder, features: JointAngles) -> str:
     linear = graph.slice(matrices, 0, 3, 3)
     rotation = graph.node("Div", linear, graph.node("Sqrt", squared_columns(graph, linear)))
     child = graph.node("Gather", rotation, graph.index(features.joint), axis=1)
-    above = graph.constant(np.maximum(features.parent, 0))
+    above = graph.index(np.maximum(features.parent, 0))
     has_parent = (features.parent >= 0)[:, None, None].astype(np.float32)
     parent = graph.node("Gather", rotation, above, axis=1)
     parent = graph.node("Mul", parent, graph.constant(has_parent))
@@ -96,7 +97,7 @@ def near_nodes(graph: GraphBuilder, features: Occluders) -> tuple[str, str]:
         Centres, components leading (P, C, 3, K), and squared radii (P, C, 1, K), in joint units.
     """
     matrices = joint_matrices(graph, features.joints)
-    rides, near = graph.constant(features.spheres.joint), graph.constant(features.near)
+    rides, near = graph.index(features.spheres.joint), graph.index(features.near)
     centre = np.concatenate([features.spheres.centre, np.ones((len(features.spheres), 1))], 1)
     riding = graph.node("Gather", matrices, rides, axis=1)  # [P, S, 3, 4]
     centres = graph.total(graph.node("Mul", riding, graph.constant(centre[:, None])), 3)
@@ -172,11 +173,10 @@ def occluder_nodes(graph: GraphBuilder, features: Occluders) -> str:
     """
     clusters, points, _ = features.point.shape
     local, radius2 = near_nodes(graph, features)
-    left, right = (graph.constant(index) for index in QUADRATIC)
+    left, right = (graph.index(index) for index in QUADRATIC)
     pair = (graph.node("Gather", local, index, axis=2) for index in (left, right))
     monomials = graph.node("Concat", local, graph.node("Mul", *pair), axis=2)  # [P, C, 9, K]
-    point = features.point.astype(np.float64)
-    point = point - point.mean(axis=1, keepdims=True)
+    point = centred_points(features)
     to_distance = np.zeros((clusters, points, 9))
     to_distance[..., :3], to_distance[..., [3, 6, 8]] = -2.0 * point, 1.0
     distance2 = graph.node("MatMul", graph.constant(to_distance), monomials)  # [P, C, M, K]
@@ -200,11 +200,15 @@ def occluder_nodes(graph: GraphBuilder, features: Occluders) -> str:
     return graph.reshape(every, [-1, clusters, points * RAW[features.order]])
 
 
-def harmonics(features: Occluders) -> FloatArray:
-    """(C, M, RAW, order²): what :func:`occluder_nodes` gives of a point, to its features."""
-    order, point = features.order, features.point.astype(np.float64)
-    point = point - point.mean(axis=1, keepdims=True)
-    moved = np.zeros((*point.shape[:2], RAW[order], order**2))
+def centred_points(features: Occluders) -> FloatArray:
+    """Each cluster's reference points about their mean, (C, M, 3)."""
+    point = features.point.astype(np.float64)
+    return point - point.mean(axis=1, keepdims=True)
+
+
+def harmonics(point: FloatArray, order: int) -> FloatArray:
+    """(…, RAW, order²): what :func:`occluder_nodes` gives of points (…, 3), to their features."""
+    moved = np.zeros((*point.shape[:-1], RAW[order], order**2))
     moved[..., 0, 0] = 1.0
     if order > 1:
         moved[..., 1, 1:4] = -point
@@ -212,6 +216,24 @@ def harmonics(features: Occluders) -> FloatArray:
     if order > 2:
         moved[..., 5:, 4:] = recentred(point)
     return moved @ band_map(order)
+
+
+def monomials(point: FloatArray) -> FloatArray:
+    """(…, 10): 1; x, y, z; x², xy, xz, y², yz, z² of points (…, 3)."""
+    left, right = QUADRATIC
+    ones = np.ones_like(point[..., :1])
+    return np.concatenate([ones, point, point[..., left] * point[..., right]], axis=-1)
+
+
+def harmonic_nodes(graph: GraphBuilder, features: Occluders) -> str:
+    """(C, M, RAW, order²) :func:`harmonics`, which are linear in the points' monomials."""
+    point, order = centred_points(features), features.order
+    probes = np.concatenate([np.zeros((1, 3)), sh.fibonacci_sphere(20), 2 * np.eye(3)])
+    exact = harmonics(probes, order).reshape(len(probes), -1)
+    table = np.linalg.lstsq(monomials(probes), exact, rcond=None)[0]  # [10, RAW · order²]
+    flat = graph.constant(monomials(point).reshape(-1, len(table)))
+    value = graph.node("MatMul", flat, graph.constant(table))
+    return graph.reshape(value, [*point.shape[:2], RAW[order], order**2])
 
 
 def feature_nodes(graph: GraphBuilder, features: Features, pose_size: int) -> str:
@@ -255,7 +277,7 @@ def linear_nodes(
         value = graph.reshape(value, [-1, 1, 1, size])
         centred = graph.node("Sub", value, graph.constant(mean[0]))
         reduced = graph.node("MatMul", centred, graph.stored(basis))
-        value = graph.node("MatMul", reduced, graph.stored(after))
+        value = graph.node("MatMul", reduced, matrix_nodes(graph, after))
         return graph.node("Add", value, graph.constant(bias))
     # Everything linear in a cluster's features is one matrix, everything constant its bias.
     product = first_matrix(graph, model.features, basis, after)
@@ -276,7 +298,7 @@ def through_nodes(graph: GraphBuilder, matrix: str, after: Stored | UnitBox) -> 
     """The same as nodes."""
     if isinstance(after, UnitBox):
         return after.unit_nodes(graph, matrix)
-    return graph.node("MatMul", matrix, graph.stored(after))
+    return graph.node("MatMul", matrix, matrix_nodes(graph, after))
 
 
 def first_matrix(
@@ -288,17 +310,17 @@ def first_matrix(
     if not isinstance(features, Occluders):
         if every is not None:
             return graph.constant(through(every, after))
-        return through_nodes(graph, graph.stored(basis), after)
+        return through_nodes(graph, matrix_nodes(graph, basis), after)
     clusters, points, _ = features.point.shape
-    to_features = harmonics(features)
     shape = (clusters, points, features.order**2, basis.values.shape[-1])
     caps = points * features.order**2
     if every is not None:
+        to_features = harmonics(centred_points(features), features.order)
         moved = (to_features @ every[:, :caps].reshape(shape)).reshape(clusters, -1, shape[-1])
         return graph.constant(through(np.concatenate([moved, every[:, caps:]], axis=1), after))
-    stored = graph.stored(basis)
+    stored = matrix_nodes(graph, basis)
     own = graph.reshape(graph.slice(stored, 0, caps, 1), shape)
-    own = graph.node("MatMul", graph.constant(to_features), own)
+    own = graph.node("MatMul", harmonic_nodes(graph, features), own)
     own = graph.reshape(own, [clusters, -1, shape[-1]])
     if basis.values.shape[1] > caps:
         morphs = graph.slice(stored, caps, basis.values.shape[1], 1)
@@ -345,7 +367,8 @@ def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer
         value = graph.node("MatMul", value, from_unit_nodes(graph, box, weight, bias))
     if weight is not layer.weight:
         value = bend_nodes(graph, model.regressor, value)
-        value = graph.node("MatMul", value, graph.stored(layer.weight))
+        last = matrix_nodes(graph, layer.weight, model.neurons)
+        value = graph.node("MatMul", value, last)
         value = graph.node("Add", value, graph.constant(last_bias))
     if damping is not None:
         value = graph.node("Add", graph.node("Div", value, damping), graph.constant(layer.ones))

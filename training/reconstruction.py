@@ -14,6 +14,7 @@ import numpy as np
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.model import VisibilityModel
 from prtnet.storage import Stored
+from training.onnx_components import component_nodes
 from training.onnx_graph import GraphBuilder
 
 __all__ = ["LatentLayer", "latent_layer", "visibility_nodes"]
@@ -69,13 +70,16 @@ def visibility_nodes(
         mean_nodes(graph, model, prior)
         return
     order = np.argsort(model.latents, kind="stable")
+    coded = None
+    if model.coding is not None:
+        coded = component_nodes(graph, model.coding.encode(model.basis))
     parts = []
     for count in np.unique(model.latents):
         groups = order[model.latents[order] == count]
         index = np.full((len(groups), 1, count + 1), layer.one)
         index[:, 0, :count] = layer.first[groups, None] + np.arange(count)
         own = graph.node("Gather", latents, graph.index(index), axis=1)
-        slots = graph.node("MatMul", own, row_nodes(graph, model, groups, int(count)))
+        slots = graph.node("MatMul", own, row_nodes(graph, model, groups, int(count), coded))
         size = len(groups) * model.receivers.shape[1]
         parts.append(graph.reshape(slots, [-1, size, model.order**2]))
     every = parts[0] if len(parts) == 1 else graph.node("Concat", *parts, axis=1)
@@ -102,14 +106,30 @@ def mean_nodes(graph: GraphBuilder, model: VisibilityModel, prior: str | None) -
     graph.node("Add", prior, mean, output="visibility")
 
 
-def row_nodes(graph: GraphBuilder, model: VisibilityModel, groups: IntArray, count: int) -> str:
-    """(G', count + 1, R · n²) the groups' components, then their means, as they are stored."""
+def row_nodes(
+    graph: GraphBuilder, model: VisibilityModel, groups: IntArray, count: int,
+    coded: tuple[str, IntArray] | None,
+) -> str:  # fmt: skip
+    """(G', count + 1, R · n²) the groups' components, then their means, as they are stored.
+
+    Args:
+        graph: to add to.
+        model: of the groups.
+        groups: of so many components each, (G',).
+        count: their number.
+        coded: all components as a value, and their rows in it, where they are coded.
+    """
     starts = np.cumsum(model.latents) - model.latents
     rows = starts[groups, None] + np.arange(count)  # [G', count]
-    basis, mean = model.stored("basis"), model.stored("mean")
+    mean = model.stored("mean")
     means = Stored(mean.values[groups][:, None], mean.scale[None], mean.offset)
     if count == 0:
         return graph.stored(means)
+    if coded is not None:
+        value, position = coded
+        own = graph.node("Gather", value, graph.index(position[rows]), axis=0)
+        return graph.node("Concat", own, graph.stored(means), axis=1)
+    basis = model.stored("basis")
     every = Stored(basis.values[rows], np.broadcast_to(basis.scale, (len(basis.values), 1))[rows])
     if model.storage == "float32":
         return graph.constant(np.concatenate([every.values, means.values], axis=1))

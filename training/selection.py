@@ -8,7 +8,7 @@ such thing.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,7 @@ __all__ = [
     "folds_over_clips",
     "folds_over_moments",
     "folds_over_time",
+    "refined",
 ]
 
 ALPHAS = (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1, 1.0)
@@ -150,7 +151,7 @@ def choose_alpha(
     start: float = START,
     on_candidate: Callable[[float, float], None] | None = None,
 ) -> tuple[float, dict[float, float]]:
-    """The α of least validation error, and the relative error of the latents of all tried.
+    """The α to fit all poses with, and the relative error of the latents of all tried.
 
     Descends from ``start`` to the nearest local minimum: the error has one valley in log α, and
     a fit of every candidate would cost more than the final fit.
@@ -174,7 +175,7 @@ def choose_alpha(
         return errors[alpha]
 
     best = descend(error, len(alphas), alphas.index(start))
-    return alphas[best], errors
+    return refined(alphas, errors, alphas[best], folds), errors
 
 
 def choose_neurons(
@@ -187,7 +188,7 @@ def choose_neurons(
     start: tuple[int, float] = (16, START),
     on_candidate: Callable[[float, float], None] | None = None,
 ) -> tuple[int, float, dict[tuple[int, float], float]]:
-    """Number of neurons and α of least validation error, and the errors of all pairs tried.
+    """Number of neurons and α to fit all poses with, and the errors of all pairs tried.
 
     Descends in α, then in the number of neurons, in turn until neither helps; every pair is tried
     once at most. "Arbitrary BRDFs" section 5.3 chooses both likewise.
@@ -224,8 +225,39 @@ def choose_neurons(
 
         best = descend(down, len(sizes), row)
         if best == row:
-            return sizes[row], alphas[column], errors
+            own = {alpha: e for (size, alpha), e in errors.items() if size == sizes[row]}
+            return sizes[row], refined(alphas, own, alphas[column], folds), errors
         row = best
+
+
+def refined(
+    alphas: Sequence[float], errors: Mapping[float, float], best: float, folds: Sequence[Fold]
+) -> float:
+    """The α for all poses, from the best that was tried on parts of them.
+
+    The bottom of the parabola, in log α, through the best and its neighbours; times the share of
+    poses that a fold fits. α weighs against a mean over poses: what it does to a fit with more of
+    them, α · share does.
+
+    Args:
+        alphas: candidates, ascending.
+        errors: of those tried.
+        best: of them.
+        folds: that they were tried on.
+    """
+    if len(alphas) == 1:  # there was nothing to choose
+        return best
+    share = float(np.mean([fold.train.mean() for fold in folds]))
+    at = list(alphas).index(best)
+    near = [alphas[k] for k in (at - 1, at, at + 1) if 0 <= k < len(alphas)]
+    if len(near) < 3 or any(alpha not in errors for alpha in near):
+        return best * share
+    x = np.log(near)
+    curve, slope, _ = np.polyfit(x - x[1], [errors[alpha] for alpha in near], 2)
+    if not curve > 0:
+        return best * share
+    bottom = x[1] + np.clip(-slope / (2.0 * curve), (x[0] - x[1]) / 2.0, (x[2] - x[1]) / 2.0)
+    return float(np.exp(bottom)) * share
 
 
 def descend(error: Callable[[int], float], count: int, best: int) -> int:

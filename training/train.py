@@ -41,10 +41,13 @@ from training.smoothness import change_covariance, consecutive
 
 __all__ = [
     "AROUND",
+    "Fitting",
     "Layout",
     "cross_validation_folds",
     "fit_model",
+    "prepared",
     "report_errors",
+    "select",
     "train",
     "training_rows",
     "with_training_range",
@@ -98,7 +101,7 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     watch = monitor or Silent()
     started = time.perf_counter()
     rows = training_rows(dataset)
-    model, _ = fit_model(dataset, rows, config, cross_validation_folds(dataset, rows), watch)
+    model = fit_model(dataset, rows, config, cross_validation_folds(dataset, rows), watch)
     report_errors(model, dataset, watch)
     model.metadata["seconds"]["total"] = time.perf_counter() - started
     return model
@@ -112,21 +115,72 @@ def training_rows(dataset: Dataset) -> IntArray:
     return rows
 
 
+@dataclass(frozen=True, eq=False)
+class Fitting:
+    """A model but for its regressor, and what that is fitted to.
+
+    Attributes:
+        config: how.
+        body: the model, of a regressor without neurons that gives no latents.
+        layout: receivers taken together.
+        data: to fit a regressor to.
+        features: of the training poses, (P, 1 or C, F).
+    """
+
+    config: TrainConfig
+    body: VisibilityModel
+    layout: Layout
+    data: Prepared
+    features: FloatArray
+
+    def model(self, neurons: int, alpha: float, watch: Monitor) -> VisibilityModel:
+        """The float32 model of a regressor that is fitted now; it neither clamps nor fades."""
+        watch.stage(f"{self.config.kind} fit, α = {alpha:g}")
+        started = time.perf_counter()
+        fits = fit(self.data, self.config, neurons, alpha, watch)
+        seconds = {"seconds": {"fit": time.perf_counter() - started}}
+        return dataclasses.replace(
+            self.body,
+            regressor=to_regressor(average(fits), self.data.products, self.config.parts),
+            metadata=self.body.metadata | {"alpha": alpha} | fit_facts(fits) | seconds,
+        )
+
+
 def fit_model(
-    dataset: Dataset,
-    rows: IntArray,
-    config: TrainConfig,
-    folds: list[Fold],
-    watch: Monitor,
-    layout: Layout | None = None,
-) -> tuple[VisibilityModel, Layout]:
-    """A model of some poses of a dataset, without its errors, and its layout.
+    dataset: Dataset, rows: IntArray, config: TrainConfig, folds: list[Fold], watch: Monitor
+) -> VisibilityModel:
+    """A model of some poses of a dataset, without its errors.
 
     Args:
         dataset: of the poses.
         rows: what to fit, (P,).
         config: how.
         folds: of ``rows``, to choose weight decay and neurons with.
+        watch: is told how it goes.
+
+    Raises:
+        PrtnetError: as :func:`train`.
+    """
+    fitting = prepared(dataset, rows, config, watch)
+    neurons, alpha, trials = select(fitting.data, config, folds, watch)
+    model = fitting.model(neurons, alpha, watch).stored_as(config.storage)
+    model.metadata["cross_validation"] = trials
+    return with_training_range(model, fitting.features)
+
+
+def prepared(
+    dataset: Dataset,
+    rows: IntArray,
+    config: TrainConfig,
+    watch: Monitor,
+    layout: Layout | None = None,
+) -> Fitting:
+    """All of a model of some poses but its regressor.
+
+    Args:
+        dataset: of the poses.
+        rows: what to fit, (P,).
+        config: how.
         watch: is told how it goes.
         layout: receivers taken together, where that is settled already.
 
@@ -158,32 +212,27 @@ def fit_model(
     inputs = (np.swapaxes(values, 0, 1) - mean[:, None]) @ basis
     inputs = np.broadcast_to(inputs, (len(slots), *inputs.shape[1:]))
     data = to_device(inputs, side_by_side(output.targets, config.parts), config.device)
-    data = with_products_and_smoothness(data, dataset, rows, config)
-
-    neurons, alpha, trials = select(data, config, folds, watch)
-    watch.stage(f"{config.kind} fit, α = {alpha:g}")
-    fit_started = time.perf_counter()
-    fits = fit(data, config, neurons, alpha, watch)
-    fit_seconds = time.perf_counter() - fit_started
-
-    model = VisibilityModel(
+    body = VisibilityModel(
         kind=config.kind,
         order=dataset.order,
         features=features,
         input_mean=mean,
         input_basis=basis,
-        regressor=to_regressor(average(fits), data.products, config.parts),
+        regressor=Regressor(
+            np.zeros((len(groups), 0, output.targets.shape[2]), dtype=np.float32),
+            np.zeros((len(groups), output.targets.shape[2]), dtype=np.float32),
+        ),
         latents=output.latents.astype(np.int32),
         receivers=groups,
         mean=output.mean,
         basis=np.concatenate(output.basis),
         rest_tangents=dataset.rest_tangents,
-        metadata=describe(dataset, config, features, alpha, trials, fits)
-        | {"seconds": {"fit": fit_seconds}},
+        metadata=describe(dataset, config, features),
         prior=prior,
         signal=signal,
-    ).stored_as(config.storage)
-    return with_training_range(model, values), Layout(slots, groups)
+    )
+    data = with_products_and_smoothness(data, dataset, rows, config)
+    return Fitting(config, body, Layout(slots, groups), data, values)
 
 
 def grouped(
@@ -374,12 +423,17 @@ def to_regressor(fitted: Fit, products: Products | None, parts: int) -> Regresso
     return Regressor(weight, bias, array(fitted.hidden_weight), array(fitted.hidden_bias), pairs)
 
 
-def describe(
-    dataset: Dataset, config: TrainConfig, features: Features, alpha: float,
-    trials: dict[str, float], fits: list[Fit],
-) -> dict[str, Any]:  # fmt: skip
-    """What the model file says about itself."""
+def fit_facts(fits: list[Fit]) -> dict[str, Any]:
+    """How the fits went, for the model file."""
     status = [text for fitted in fits for text in fitted.status]
+    return {
+        "fit_status": {text: status.count(text) for text in sorted(set(status))},
+        "fits": [convergence(fitted) for fitted in fits],
+    }
+
+
+def describe(dataset: Dataset, config: TrainConfig, features: Features) -> dict[str, Any]:
+    """What the model file says about itself."""
     moving = getattr(features, "joint", None)
     names = dataset.joint_names
     still = [] if moving is None else sorted(set(range(len(names))) - set(moving.tolist()))
@@ -387,10 +441,6 @@ def describe(
         "prtnet": __version__,
         "format_version": FORMAT_VERSION,
         "config": dataclasses.asdict(config),
-        "alpha": alpha,
-        "cross_validation": trials,
-        "fit_status": {text: status.count(text) for text in sorted(set(status))},
-        "fits": [convergence(fitted) for fitted in fits],
         "dropped_joints": [names[joint] for joint in still],
         "pose_size": int(dataset.pose_size),
         "scene_kind": dataset.scene_kind,

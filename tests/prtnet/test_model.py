@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
+from prtnet.components import coding
 from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
 from prtnet.storage import STORAGES
@@ -103,6 +104,51 @@ def test_fewer_bytes_err_little(tmp_path):
         relative = np.linalg.norm(rounded(poses) - expected) / np.linalg.norm(expected)
         assert error / 10 <= relative <= error, storage
     assert sizes["float32"] == 2 * sizes["float16"] == 4 * sizes["int8"]
+    model.regressor.weight[..., 0] *= 20.0  # leading components move most
+    rounded, expected = model.stored_as("int4"), model(poses)
+    rounded.save(tmp_path / "m.safetensors")
+    arrays = safetensors.numpy.load_file(tmp_path / "m.safetensors")
+    assert arrays["basis"].nbytes < 0.75 * model.basis.nbytes / 4
+    assert set(np.unique(rounded.coding.bits)) == {4, 8}
+    relative = np.linalg.norm(rounded(poses) - expected) / np.linalg.norm(expected)
+    assert 0.01 < relative < 0.1
+
+
+def test_a_coding_that_is_given_is_kept(tmp_path):
+    model = random_model(receivers=600)
+    count = len(model.basis)
+    bits, orders = np.full(count, 8), np.arange(count) % model.order + 1
+    rounded = model.stored_as("int4", coding(model.basis, 9, bits, orders))
+    rounded.save(tmp_path / "m.safetensors")
+    again = VisibilityModel.load(tmp_path / "m.safetensors")
+    for how in (again.coding, again.stored_as("int4").coding):
+        assert how.orders.tolist() == orders.tolist()
+        assert how.bits.tolist() == bits.tolist()
+    shaped = again.basis.reshape(count, -1, 9)
+    assert not shaped[orders == 1][..., 1:].any()
+    assert again.stored_as("float32").coding is None
+
+
+def test_numbers_that_nothing_uses_are_not_written(tmp_path):
+    model = random_model(parts=2)
+    neurons = np.array([6, 0, 2, 6, 3, 1], dtype=np.int32)
+    idle = np.arange(6) >= neurons[:, None]
+    layer = model.regressor
+    layer.hidden_weight[np.broadcast_to(idle[:, None], layer.hidden_weight.shape)] = 0.0
+    layer.hidden_bias[idle] = 0.0
+    layer.weight[np.repeat(idle, 2, axis=0)] = 0.0
+    for storage in STORAGES:
+        lean = dataclasses.replace(model, neurons=neurons).stored_as(storage)
+        lean.save(tmp_path / "m.safetensors")
+        arrays = safetensors.numpy.load_file(tmp_path / "m.safetensors")
+        assert arrays["regressor.hidden_weight"].shape == (4 * neurons.sum(),)
+        assert arrays["regressor.bias"].shape == (model.latents.sum(),)
+        used = np.repeat(neurons, 2) * model.latents
+        assert arrays["regressor.weight"].shape == (used.sum(),)
+        again = VisibilityModel.load(tmp_path / "m.safetensors")
+        poses = random_poses(3, 5)
+        assert np.array_equal(again(poses), lean(poses))
+        assert again.neurons.tolist() == neurons.tolist()
 
 
 def test_wrong_poses_are_told(tmp_path):
@@ -145,15 +191,39 @@ def rewrite(path, change_header=None, change_arrays=None):
         (None, lambda a: a["features.point"].fill(np.nan), "point holds values"),
         (
             None,
-            lambda a: a.update({"regressor.weight": a["regressor.weight"][:, 1:]}),
+            lambda a: a.update({"regressor.weight": a["regressor.weight"][1:]}),
             "does not fit",
         ),
+        (None, lambda a: a.update(neurons=np.array([], np.int32)), "neurons or latents are empty"),
+        (None, lambda a: a.update(neurons=a["neurons"][1:]), "not a whole prtnet model"),
+        (None, lambda a: a["neurons"].fill(200), "does not fit"),
     ],
 )
 def test_damaged_models_are_told(header, arrays, told, tmp_path):
     path = tmp_path / "m.safetensors"
     random_model().save(path)
     rewrite(path, header, arrays)
+    with pytest.raises(PrtnetError, match=told):
+        VisibilityModel.load(path)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "told"),
+    [
+        (lambda a: a.update(basis=a["basis"][1:]), "does not fit its bits"),
+        (lambda a: a["coding.bits"].fill(5), "coding does not fit"),
+        (lambda a: a["coding.orders"].fill(9), "coding does not fit"),
+        (lambda a: a["coding.orders"].fill(0), "coding does not fit"),
+        (lambda a: a.update({"coding.profile": np.ones(4, np.float32)}), "coding does not fit"),
+        (lambda a: a["coding.profile"].fill(np.nan), "basis holds values"),
+        (lambda a: a.pop("scale.basis"), "not a whole prtnet model"),
+        (lambda a: a.pop("coding.orders"), "not a whole prtnet model"),
+    ],
+)
+def test_damaged_codings_are_told(arrays, told, tmp_path):
+    path = tmp_path / "m.safetensors"
+    random_model().stored_as("int4").save(path)
+    rewrite(path, None, arrays)
     with pytest.raises(PrtnetError, match=told):
         VisibilityModel.load(path)
 
@@ -198,7 +268,7 @@ def test_a_prior_is_added_and_kept_in_the_file(kind, storage, tmp_path):
     again = VisibilityModel.load(tmp_path / "m.safetensors")
     assert np.array_equal(again(poses), rounded(poses))
     error = np.linalg.norm(rounded(poses) - truth) / np.linalg.norm(truth)
-    assert error <= {"float32": 0.0, "float16": 1e-3, "int8": 2e-2}[storage]
+    assert error <= {"float32": 0.0, "float16": 1e-3, "int8": 2e-2, "int4": 2e-1}[storage]
 
 
 def test_a_prior_of_other_receivers_is_refused(tmp_path):

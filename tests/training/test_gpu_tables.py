@@ -62,7 +62,8 @@ def emulate(folder, latents, order):
         first, count = packed >> layout["count_bits"], packed % 2 ** layout["count_bits"]
         own = rows[texel : texel + (1 + count) * texels].reshape(1 + count, -1)[:, : order**2]
         mean = layout["mean_offset"] + np.array(layout["mean_scale"]) * own[0]
-        result[receiver] = mean + latents[first : first + count] @ own[1:].astype(np.float64)
+        sums = latents[first : first + count] @ own[1:].astype(np.float64)
+        result[receiver] = mean + layout["profile"] * sums
     return result
 
 
@@ -80,7 +81,7 @@ def test_files_alone_give_the_models_visibility(exported):
 def test_bytes_are_those_of_the_storage(exported):
     model, folder = exported
     rows = textures(folder)[0]["prtnet_rows"]
-    size = {"float32": 4, "float16": 2, "int8": 1}[model.storage]
+    size = {"float32": 4, "float16": 2, "int8": 1, "int4": 1}[model.storage]
     assert rows.itemsize == size
     counts = model.latents[model.slot_of_receiver // model.receivers.shape[1]]
     used = int((1 + counts).sum()) * 12 * size  # nine coefficients take three texels

@@ -7,9 +7,11 @@ import onnx
 import onnxruntime
 import pytest
 
-from prtnet.storage import STORAGES
+from prtnet.components import coding
+from prtnet.storage import STORAGES, Packing, Stored, quantise
 from tests.models import random_model, random_poses
 from tests.priors import random_prior
+from training.onnx_components import matrix_nodes
 from training.onnx_export import build_onnx, export_onnx
 from training.onnx_graph import OPSET, PORTABLE, GraphBuilder
 
@@ -59,10 +61,62 @@ def test_fewer_bytes_and_more_groups_equal_the_reference(kind, storage, parts, c
 
 def test_the_file_shrinks_with_the_storage():
     model = random_model(receivers=9000)
-    whole, half, quarter = (build_onnx(model.stored_as(storage)).ByteSize() for storage in STORAGES)
+    whole, half, quarter, fewest = (
+        build_onnx(model.stored_as(storage)).ByteSize() for storage in STORAGES
+    )
     arrays = model.mean.nbytes + model.basis.nbytes
     assert whole - half > 0.49 * arrays
     assert whole - quarter > 0.74 * arrays
+    assert quarter - fewest > 0.05 * arrays
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("clamped", [True, False])
+def test_clusters_of_few_neurons_and_components_of_few_bands(storage, clamped):
+    model = random_model(receivers=900, clusters=9, parts=2, clamped=clamped)
+    model.latents[4:8] = 0  # clusters that keep their mean alone
+    model = dataclasses.replace(model, basis=model.basis[: model.latents.sum()])
+    neurons = np.array([6, 2, 0, 0, 6, 3, 3, 1, 6], dtype=np.int32)
+    idle = np.arange(6) >= neurons[:, None]
+    layer = model.regressor
+    layer.hidden_weight[np.broadcast_to(idle[:, None], layer.hidden_weight.shape)] = 0.0
+    layer.hidden_bias[idle] = 0.0
+    layer.weight[np.repeat(idle, 2, axis=0)] = 0.0
+    full = build_onnx(model.stored_as(storage)).ByteSize()
+    model = dataclasses.replace(model, neurons=neurons)
+    how = None
+    if storage == "int4":
+        count = len(model.basis)
+        bits, orders = np.where(np.arange(count) % 3, 4, 8), np.arange(count) % 3 + 1
+        how = coding(model.basis, model.order**2, bits, orders)
+    lean = model.stored_as(storage, how)
+    poses = random_poses(4, 5)
+    expected = lean(poses)
+    assert np.abs(run(lean, poses) - expected).max() <= RELATIVE * np.abs(expected).max()
+    if storage == "int4":
+        assert build_onnx(lean).ByteSize() < full
+
+
+def test_matrices_that_are_mostly_zeros_are_stored_without_them():
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(9, 40, 70)).astype(np.float32)
+    values[:, :, 30:] = 0.0
+    values[4] = 0.0
+    heights = np.array([40, 7, 40, 40, 0, 7, 7, 40, 40])
+    values[np.broadcast_to((np.arange(40) >= heights[:, None])[..., None], values.shape)] = 0.0
+    packing = Packing("int8", axis=(-2, -1), period=70)
+    for stored in (Stored(values, np.ones((1, 1, 1), np.float32)), quantise(values, packing)):
+        graph = GraphBuilder()
+        value = matrix_nodes(graph, stored, heights)
+        zero = graph.clip(graph.slice("pose", 0, 1, 1), 0.0, 0.0)
+        graph.node("Add", graph.reshape(value, [1, -1]), zero, output="visibility")
+        proto = graph.model(3, "visibility", [values.size], {})
+        session = onnxruntime.InferenceSession(
+            proto.SerializeToString(), providers=["CPUExecutionProvider"]
+        )
+        got = session.run(None, {"pose": np.zeros((1, 3), np.float32)})[0]
+        assert np.array_equal(got.reshape(values.shape), stored.array())
+        assert proto.ByteSize() < 0.6 * stored.values.nbytes
 
 
 @pytest.mark.parametrize("features", ["joint_angles", "local_joints", "occluders"])

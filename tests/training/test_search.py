@@ -9,12 +9,13 @@ from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
 from runtime.onnx_model import OnnxModel
 from tests.training.data import memory_dataset
+from training import families
 from training import search as module
 from training.budget import Budget
 from training.config import TrainConfig
 from training.onnx_export import build_onnx
 from training.search import search
-from training.train import train
+from training.train import Fitting, train
 
 SMALL = TrainConfig(
     clusters=3, iterations=30, near_spheres=5, patches=9, near_patches=5, width=8, steps=200,
@@ -111,12 +112,12 @@ def test_a_clock_that_wavers_refuses_nothing_that_it_allowed():
         return by_size(proto) * (3.0 if again else 1.0)
 
     candidate = module.Candidates(scene(), SMALL)["neural"]
-    best = int(np.argmin(candidate.errors("int8")))
-    proto = build_onnx(candidate.cut(best - 1, "int8")).SerializeToString()
+    best = int(np.argmin(candidate.errors))
+    proto = build_onnx(candidate.cut(best - 1)).SerializeToString()
     budget = Budget(max_ms=by_size(proto))
-    choice = module.sized(candidate, "int8", budget, slower_the_second_time)
+    choice = module.sized(candidate, budget, slower_the_second_time)
     assert choice.meets
-    assert 0 < choice.steps < best
+    assert 0 < choice.size < best
 
 
 def test_what_the_search_chooses_is_not_asked_for():
@@ -128,26 +129,25 @@ def test_what_the_search_chooses_is_not_asked_for():
 
 def test_folds_have_as_many_neurons_as_the_model(monkeypatch):
     seen = []
-    fit_model = module.fit_model
+    model = Fitting.model
 
-    def spy(dataset, rows, config, *rest):
-        model, layout = fit_model(dataset, rows, config, *rest)
-        if config.kind == "neural":
-            seen.append(model.regressor.hidden_bias.shape[1])
-        return model, layout
+    def spy(self, neurons, alpha, watch):
+        seen.append((neurons, alpha))
+        return model(self, neurons, alpha, watch)
 
-    monkeypatch.setattr(module, "fit_model", spy)
-    families = {"neural": {k: v for k, v in module.FAMILIES["neural"].items() if k != "neurons"}}
-    monkeypatch.setattr(module, "FAMILIES", families)
+    monkeypatch.setattr(Fitting, "model", spy)
+    options = {k: v for k, v in families.FAMILIES["neural"].items() if k != "neurons"}
+    monkeypatch.setattr(module, "FAMILIES", {"neural": options})
     search(scene(), dataclasses.replace(SMALL, neurons="auto"), Budget(max_mb=1.0), by_size)
-    assert len(seen) == 5
-    assert len(set(seen)) == 1
+    assert len(seen) == 2 * 5  # numbers of neurons, times the whole and four folds
+    assert seen[:2] == seen[2:4] == seen[8:]
+    assert len({alpha for _, alpha in seen}) == 1
 
 
 def test_the_model_found_is_whole(tmp_path):
     data = scene()
     model = found(data, max_error=0.2)
-    assert model.storage == model.metadata["config"]["storage"] in ("int8", "float16")
+    assert model.storage == model.metadata["config"]["storage"] == "int4"
     model.save(tmp_path / "m.safetensors")
     again = VisibilityModel.load(tmp_path / "m.safetensors")
     poses = data.read("pose", data.training_poses())
@@ -160,7 +160,7 @@ def test_the_model_found_is_whole(tmp_path):
 
 
 def test_groups_that_never_change_keep_their_mean_alone(monkeypatch):
-    monkeypatch.setattr(module, "FEWEST", 15)
+    monkeypatch.setattr(families, "FEWEST", 15)
     data = scene()
     visibility = data.read("visibility").copy()
     visibility[:, :45] = visibility[:1, :45]  # three of four joints

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from training.regression import Fit, fit_linear
@@ -12,6 +13,7 @@ from training.selection import (
     folds_over_clips,
     folds_over_moments,
     folds_over_time,
+    refined,
     validation_loss,
 )
 
@@ -76,12 +78,28 @@ def test_best_alpha_is_between_too_stiff_and_too_loose():
     alpha, errors = choose_alpha(
         fit_linear, x, x @ mix + 0.7 * noise, folds, on_candidate=lambda a, _: tried.append(a)
     )
-    assert alpha not in (ALPHAS[0], ALPHAS[-1])
-    assert errors[alpha] == min(errors.values())
+    best = min(errors, key=errors.get)
+    assert best not in (ALPHAS[0], ALPHAS[-1])
     assert sorted(errors) == sorted(tried)
     y = x @ mix + 0.7 * noise
     lost = [sum(validation_loss(fit_linear, x, y, fold, a) for fold in folds) for a in ALPHAS]
-    assert ALPHAS[int(np.argmin(lost))] == alpha
+    assert ALPHAS[int(np.argmin(lost))] == best
+    assert alpha == refined(ALPHAS, errors, best, folds)
+    # What suits a fold suits all poses: there α · share is as strong.
+    between = alpha / (2 / 3)
+    assert ALPHAS[int(np.argmin(lost)) - 1] < between < ALPHAS[int(np.argmin(lost)) + 1]
+    assert sum(validation_loss(fit_linear, x, y, fold, between) for fold in folds) <= min(lost)
+
+
+def test_alpha_is_the_bottom_of_a_parabola_times_the_share_of_poses():
+    alphas = (1e-3, 1e-2, 1e-1, 1.0)
+    folds = folds_over_clips(np.repeat(np.eye(4, dtype=bool), 5, axis=0))
+    errors = {a: 0.5 + 0.1 * (np.log10(a) + 1.8) ** 2 for a in alphas}
+    assert refined(alphas, errors, 1e-2, folds) == pytest.approx(0.75 * 10**-1.8)
+    assert refined(alphas, {1e-2: 1.0}, 1e-2, folds) == pytest.approx(0.75e-2)
+    assert refined(alphas, errors, 1.0, folds) == pytest.approx(0.75)
+    assert refined(alphas, dict.fromkeys(alphas, 1.0), 1e-2, folds) == pytest.approx(0.75e-2)
+    assert refined((0.2,), {0.2: 1.0}, 0.2, folds) == 0.2  # it was given, not chosen
 
 
 def test_neurons_and_alpha_are_where_neither_change_helps():
@@ -100,11 +118,15 @@ def test_neurons_and_alpha_are_where_neither_change_helps():
 
     inputs = torch.zeros(1, 20, 2, dtype=torch.float64)
     neurons, alpha, errors = choose_neurons(fit, inputs, targets, folds)
-    row, column = NEURONS.index(neurons), ALPHAS.index(alpha)
+    chosen = min(errors, key=errors.get)
+    assert neurons == chosen[0]
+    own = {a: e for (n, a), e in errors.items() if n == neurons}
+    assert alpha == refined(ALPHAS, own, chosen[1], folds)
+    row, column = NEURONS.index(neurons), ALPHAS.index(chosen[1])
     for other in ((row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)):
         if 0 <= other[0] < len(NEURONS) and 0 <= other[1] < len(ALPHAS):
             pair = NEURONS[other[0]], ALPHAS[other[1]]
-            assert errors[pair] >= errors[neurons, alpha]
+            assert errors[pair] >= errors[chosen]
     assert len(calls) == len(folds) * len(errors) < len(folds) * len(NEURONS) * len(ALPHAS)
 
 

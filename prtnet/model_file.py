@@ -1,0 +1,238 @@
+"""Model files: which numbers are written, which were read, and whether they fit each other.
+
+Numbers that no group or cluster uses are not written: a regressor's arrays are rectangles for the
+sake of one batched product, clusters differ in neurons, and groups in latents.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import safetensors
+
+from prtnet.arrays import BoolArray, IntArray
+from prtnet.components import Coding, from_bytes, to_bytes
+from prtnet.errors import PrtnetError
+from prtnet.prior import Prior, prior_from_arrays
+
+if TYPE_CHECKING:
+    from prtnet.model import VisibilityModel
+
+__all__ = [
+    "ARRAYS",
+    "check_shapes",
+    "flattened",
+    "read",
+    "read_prior",
+    "restored",
+    "with_components",
+    "without_components",
+]
+
+ARRAYS = ("input_mean", "input_basis", "latents", "receivers", "mean", "basis", "rest_tangents")
+COMPONENTS = ("basis", "scale.basis", "coding.bits", "coding.orders", "coding.profile")
+LAYERS = ("weight", "bias", "hidden_weight", "hidden_bias")  # of the regressor
+
+
+def used_numbers(
+    latents: IntArray, neurons: IntArray | None, shape: tuple[int, ...], hidden: bool
+) -> BoolArray:
+    """Which numbers of an array of the regressor anything uses.
+
+    Args:
+        latents: of each group, (G,).
+        neurons: of each cluster, (C,); None for all there are.
+        shape: of the array: (G, N, L) or (G, L), or (C, K, N) or (C, N) of the hidden layer.
+        hidden: whether it is of the hidden layer.
+    """
+    count = neurons if hidden else latents
+    if count is None:
+        count = np.full(shape[0], shape[-1])
+    last: BoolArray = np.asarray(np.arange(shape[-1]) < count[:, None])
+    if len(shape) == 2:
+        return last
+    inner: BoolArray = np.ones(shape[:2], dtype=bool)
+    if not hidden and neurons is not None:
+        own: BoolArray = np.asarray(np.arange(shape[1]) < neurons[:, None])
+        inner = np.repeat(own, shape[0] // len(neurons), axis=0)
+    every: BoolArray = inner[..., None] & last[:, None]
+    return every
+
+
+def layer_shape(name: str, arrays: Mapping[str, Any]) -> tuple[int, ...]:
+    """Of an array of the regressor, from the others of the file."""
+    groups, most = len(arrays["latents"]), int(arrays["latents"].max(initial=0))
+    inputs = arrays["input_basis"].shape[2]
+    neurons = arrays.get("neurons")
+    if neurons is None:
+        pairs = arrays.get("regressor.pairs")
+        inner = inputs if pairs is None else inputs + pairs.shape[1]
+        clusters = groups
+    else:
+        clusters, inner = len(neurons), int(neurons.max(initial=0))
+    return {
+        "weight": (groups, inner, most),
+        "bias": (groups, most),
+        "hidden_weight": (clusters, inputs, inner),
+        "hidden_bias": (clusters, inner),
+    }[name]
+
+
+def flattened(arrays: dict[str, Any]) -> dict[str, Any]:
+    """Arrays as they are written: of the regressor's the numbers that are used, one by one.
+
+    So are a column's scales. A file without hidden layers has no ``neurons``, one with them always.
+    """
+    flat = dict(arrays)
+    for layer in LAYERS:
+        name, scale = f"regressor.{layer}", f"scale.regressor.{layer}"
+        if name not in arrays:
+            continue
+        used = used_numbers(
+            arrays["latents"], arrays.get("neurons"), arrays[name].shape,
+            layer.startswith("hidden"),
+        )  # fmt: skip
+        flat[name] = arrays[name][used]
+        if scale in arrays:
+            flat[scale] = arrays[scale][used.any(axis=1, keepdims=True)]
+            if not used.any():
+                del flat[scale]
+    return flat
+
+
+def restored(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """The inverse of :func:`flattened`; numbers that nothing uses are zero.
+
+    Raises:
+        ValueError: an array has more or fewer numbers than are used.
+        KeyError: one that others need is missing.
+    """
+    arrays = dict(flat)
+    if "neurons" in flat and (flat["neurons"].size == 0 or len(flat["latents"]) == 0):
+        raise ValueError("neurons or latents are empty")
+    for layer in LAYERS:
+        name, scale = f"regressor.{layer}", f"scale.regressor.{layer}"
+        if name not in flat:
+            continue
+        shape = layer_shape(layer, flat)
+        used = used_numbers(flat["latents"], flat.get("neurons"), shape, layer.startswith("hidden"))
+        own: dict[str, BoolArray] = {name: used}
+        if scale in flat:
+            own[scale] = np.any(used, axis=1, keepdims=True)
+        for key, mask in own.items():
+            if flat[key].shape != (int(mask.sum()),):
+                raise ValueError(f"{key} does not fit the latents and neurons")
+            arrays[key] = np.zeros(mask.shape, dtype=flat[key].dtype)
+            arrays[key][mask] = flat[key]
+    return arrays
+
+
+def without_components(model: VisibilityModel, arrays: dict[str, Any]) -> dict[str, Any]:
+    """Arrays with the components of a model that codes them as bytes."""
+    if model.coding is None:
+        return arrays
+    how, coded = model.coding, model.coding.encode(model.basis)
+    orders, bits = how.orders.astype(np.uint8), how.bits.astype(np.uint8)
+    return arrays | dict(
+        zip(COMPONENTS, (to_bytes(coded), coded.scale, bits, orders, how.profile), strict=True)
+    )
+
+
+def with_components(arrays: dict[str, Any], order: int) -> tuple[dict[str, Any], Coding | None]:
+    """The inverse: components as float32, and how they were coded, if they were.
+
+    Raises:
+        ValueError: the arrays do not fit each other.
+    """
+    if "coding.bits" not in arrays:
+        return arrays, None
+    data, scale, bits, orders, profile = (arrays[name] for name in COMPONENTS)
+    how = Coding(bits.astype(np.int32), orders.astype(np.int32), profile)
+    if not (
+        np.isin(bits, (4, 8)).all() and bits.shape == orders.shape and profile.shape == (order**2,)
+        and ((orders >= 1) & (orders <= order)).all()
+    ):  # fmt: skip
+        raise ValueError("coding does not fit the order")
+    basis = from_bytes(data, scale, how, arrays["receivers"].shape[1]).array()
+    rest = {name: array for name, array in arrays.items() if name not in COMPONENTS}
+    return rest | {"basis": basis}, how
+
+
+def read_prior(header: Mapping[str, Any], arrays: dict[str, Any]) -> Prior | None:
+    """The prior of a file, None where it has none."""
+    if header.get("prior") is None:
+        return None
+    return prior_from_arrays(header["prior"], header["surroundings"], arrays)
+
+
+def read(path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
+    """Header and arrays of a safetensors file."""
+    if not path.is_file():
+        raise PrtnetError(path, "does not exist or is no file; give a trained .safetensors model")
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            text = (file.metadata() or {}).get("prtnet")
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        header = json.loads(text) if text else None
+    except (OSError, ValueError, safetensors.SafetensorError) as error:
+        raise PrtnetError(path, f"is damaged or no safetensors file ({error})") from error
+    if not isinstance(header, dict):
+        raise PrtnetError(path, "is a safetensors file but no prtnet model; train one first")
+    return header, arrays
+
+
+def check_shapes(model: VisibilityModel) -> None:
+    """Raise ValueError where arrays do not fit each other."""
+    groups, slots = model.receivers.shape
+    width = slots * model.order**2
+    expected = {
+        "mean": (groups, width),
+        "basis": (int(model.latents.sum()), width),
+        "latents": (groups,),
+    }
+    for name, shape in expected.items():
+        if getattr(model, name).shape != shape:
+            raise ValueError(f"{name} has shape {getattr(model, name).shape}, expected {shape}")
+    flat = np.sort(model.receivers[model.receivers >= 0])
+    if not np.array_equal(flat, np.arange(model.receiver_count)):
+        raise ValueError("receivers are not each in exactly one slot")
+    width = int(model.latents.max(initial=0))
+    inner = model.input_basis.shape[2]
+    clusters = groups // model.parts
+    if clusters * model.parts != groups or len(model.input_basis) not in (1, clusters):
+        raise ValueError("clusters do not all have equally many groups")
+    if model.regressor.hidden_weight is not None:
+        neurons = model.regressor.weight.shape[1]
+        if model.regressor.hidden_weight.shape != (clusters, inner, neurons):
+            raise ValueError("regressor.hidden_weight does not fit the inputs and neurons")
+        inner = neurons
+    pairs = model.regressor.pairs
+    if pairs is not None:
+        if pairs.ndim != 2 or len(pairs) != 2 or not ((pairs >= 0) & (pairs < inner)).all():
+            raise ValueError("regressor.pairs are no pairs of the inputs")
+        inner += pairs.shape[1]
+    if model.regressor.weight.shape[:2] != (groups, inner) or (
+        model.regressor.weight.shape[2] < width
+    ):
+        raise ValueError("regressor.weight does not fit the clusters, inputs and latents")
+    span = model.training_range()
+    if span and [a.shape for a in span.values()] != 2 * [model.input_basis[:, 0].shape]:
+        raise ValueError("input_low and input_high do not fit the inputs, or one is missing")
+    every = {name: getattr(model, name) for name in ARRAYS} | span
+    if model.prior is not None:
+        count, size = model.prior.surroundings.receiver_count, model.order**2
+        if (count, model.prior.answer_size) != (model.receiver_count, size):
+            raise ValueError("the prior does not fit the receivers and the order")
+        every |= {f"prior.{name}": array for name, array in model.prior.arrays().items()}
+    if model.signal is not None:
+        if model.signal.shape != (model.receiver_count, model.order**2):
+            raise ValueError("signal does not fit the receivers and the order")
+        every["signal"] = model.signal
+    every |= model.regressor.arrays() | model.features.arrays()
+    for name, array in every.items():
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} holds values that are not finite")

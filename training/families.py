@@ -1,0 +1,190 @@
+"""Kinds of models, each fitted and judged on what it has not seen: what a search chooses from.
+
+Every kind is fitted once with more components than any budget keeps, and once without each fold: a
+quarter of every training clip in turn; each time with several numbers of neurons. What neurons,
+components, bands and bits bring on what a fold left out tells which of them are worth their bytes
+(:mod:`training.worth`), and what error to expect: that of the median part left out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from prtnet.arrays import FloatArray, IntArray
+from prtnet.components import coding
+from prtnet.dataset import Dataset, evenly
+from prtnet.model import VisibilityModel
+from training.config import TrainConfig
+from training.monitor import Monitor, Silent
+from training.selection import Fold
+from training.train import AROUND, Fitting, prepared, select, with_training_range
+from training.worth import (
+    Allocation,
+    Prices,
+    Unseen,
+    allocated,
+    allocations,
+    expected,
+    unseen,
+)
+
+__all__ = ["FAMILIES", "Candidate", "judged", "rich_config"]
+
+FAMILIES: dict[str, dict[str, Any]] = {
+    "linear": {"kind": "linear"},
+    "neural, small": {"kind": "neural", "neurons": 16, "points": 3, "near": 24, "spheres": 64},
+    "neural": {"kind": "neural"},
+    "neural, large": {
+        "kind": "neural", "neurons": 64, "networks": 2, "inputs": 64,
+        "points": 12, "near": 96, "spheres": 240,
+    },
+    "hybrid": {"kind": "hybrid"},
+    "shared": {"kind": "shared"},
+}  # fmt: skip
+"""Kinds of models, the quick ones first: what each overrides in the configuration."""
+RICH = 24  # components a group, on average, before the search drops what is not worth it
+RICH_AROUND = 16  # beside a prior, where less is left
+PARTS = 8  # groups a cluster: each keeps what it is worth
+FEWEST = 16  # receivers of a group
+NEURON_PARTS = (0.25, 1.0)  # of a kind's neurons: what a cluster chooses from
+BIAS = 12  # bytes of a neuron beside its weights: bias, scale, where it stands
+JUDGED = 40  # poses of each part that judge, at most
+FOLDS_AROUND = 2  # priors take minutes to fit
+ROUNDED = 8  # poses that tell what storing costs
+BLOCK = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One kind of model, fitted and judged.
+
+    Attributes:
+        family: its name.
+        models: fitted to all training poses with more components than any will keep, of every
+            number of neurons.
+        known: what their parts leave of the error on each part of a clip left out.
+        prices: of those parts.
+        sizes: the best model of each size, the smallest first.
+        rounding: relative squared error of storing all else in 8 bits.
+    """
+
+    family: str
+    models: list[VisibilityModel]
+    known: Unseen
+    prices: Prices
+    sizes: list[Allocation]
+    rounding: float
+
+    @functools.cached_property
+    def errors(self) -> FloatArray:
+        """Expected relative RMS of each size: on the median of the parts left out."""
+        exact = [np.median(expected(self.known, self.prices, size)) for size in self.sizes]
+        return np.hypot(exact, np.sqrt(self.rounding))
+
+    def cut(self, size: int) -> VisibilityModel:
+        """The model of one of the sizes."""
+        return allocated(self.models, self.sizes[size])
+
+
+def rich_config(dataset: Dataset, base: TrainConfig, options: dict[str, Any]) -> TrainConfig:
+    """A family's configuration, with more components than it will keep."""
+    receivers = len(dataset.rest_tangents)
+    clusters = max(1, min(base.clusters, receivers // FEWEST))
+    parts = 1 if options["kind"] in AROUND else int(
+        np.clip(receivers // clusters // FEWEST, 1, PARTS)
+    )  # fmt: skip
+    latents = parts * (RICH_AROUND if options["kind"] in AROUND else RICH)
+    settled = {
+        "clusters": clusters, "parts": parts, "latents": latents, "output_variance": 1.0,
+        "step": 1, "storage": "float32", "frame": "local", "target": "visibility",
+    }  # fmt: skip
+    return dataclasses.replace(base, **{**settled, **options})
+
+
+def judged(
+    dataset: Dataset,
+    rows: IntArray,
+    folds: list[Fold],
+    family: str,
+    config: TrainConfig,
+    watch: Monitor,
+) -> Candidate:
+    """One kind of model, fitted to everything and to each fold."""
+    watch.stage(f"{family}: all training clips")
+    whole = prepared(dataset, rows, config, Silent())
+    neurons, alpha, _ = select(whole.data, config, folds, Silent())
+    numbers = sorted({max(1, round(part * neurons)) for part in NEURON_PARTS})
+    if config.kind == "linear":
+        numbers = [neurons]
+    models = ranged(whole, numbers, alpha)
+    parts = []
+    used = folds[:FOLDS_AROUND] if config.kind in AROUND else folds
+    for turn, fold in enumerate(used, start=1):
+        watch.stage(f"{family}: fold {turn} of {len(used)}")
+        part = prepared(dataset, rows[fold.train], config, Silent(), whole.layout)
+        rivals = ranged(part, numbers, alpha)
+        left_out = rows[fold.validate]
+        clip = dataset.clip[left_out]
+        parts += [
+            unseen(rivals, some_poses(dataset, left_out[clip == own])) for own in np.unique(clip)
+        ]
+    body = models[0]
+    known = Unseen.joined(parts, int(body.latents.max(initial=0)))
+    prices = priced(models)
+    sizes = allocations(known, prices, body.latents, base_step(config))
+    poses = dataset.read("pose", rows[:: max(1, len(rows) // ROUNDED)][:ROUNDED])
+    answer = models[-1](poses)
+    eighth = np.mean((models[-1].stored_as("int8")(poses) - answer) ** 2)
+    rounding = float(eighth / max(float(np.mean(answer**2)), 1e-30))
+    candidate = Candidate(family, models, known, prices, sizes, rounding)
+    for number, error in enumerate(candidate.errors):
+        watch.scalar(f"search/{family}", float(error), number)
+    return candidate
+
+
+def ranged(fitting: Fitting, numbers: list[int], alpha: float) -> list[VisibilityModel]:
+    """Models of each number of neurons, that clamp to the training range."""
+    models = (fitting.model(number, alpha, Silent()) for number in numbers)
+    return [with_training_range(model, fitting.features) for model in models]
+
+
+def priced(models: list[VisibilityModel]) -> Prices:
+    """What parts of models of one kind cost, in 8 bits where nothing else is said."""
+    body = models[0]
+    most = int(body.latents.max(initial=0))
+    used = np.arange(most) < body.latents[:, None]
+    rounding = np.zeros((2, len(body.latents), most))
+    for row, bits in enumerate((4, 8)):
+        how = coding(body.basis, body.order**2, np.full(len(body.basis), bits))
+        difference = how.encode(body.basis).array() - body.basis
+        rounding[row][used] = np.square(difference, dtype=np.float64).sum(axis=1)
+    features, inputs = body.input_basis.shape[1:]
+    clusters = len(body.latents) // body.parts
+    layered = body.regressor.hidden_weight is not None
+    return Prices(
+        slots=body.receivers.shape[1],
+        parts=body.parts,
+        widths=np.array([model.regressor.weight.shape[1] for model in models]),
+        inputs=features * inputs if len(body.input_basis) == clusters else 0,
+        inner=inputs + BIAS if layered else 0,
+        rounding=rounding,
+    )
+
+
+def base_step(config: TrainConfig) -> int:
+    """Groups keep multiples of so many components: few different sizes are fast."""
+    return 2 if config.parts > 1 else 4
+
+
+def some_poses(dataset: Dataset, rows: IntArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Evenly chosen poses with their visibility, block by block."""
+    chosen = evenly(rows, JUDGED)
+    for start in range(0, len(chosen), BLOCK):
+        block = chosen[start : start + BLOCK]
+        yield dataset.read("pose", block), dataset.read("visibility", block)
