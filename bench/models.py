@@ -18,11 +18,13 @@ from prtnet.dataset import SAMPLED, Dataset
 from prtnet.evaluation import NearestPose, dataset_truth, evaluate
 from runtime.onnx_model import OnnxModel
 from training.config import PRESETS, TrainConfig
+from training.graph_cost import graph_cost
 from training.onnx_export import build_onnx
 from training.train import train
 
 COLUMNS = (
-    "model", "held-out", "p99", "signal", "nearest", "floor", "MB", "ms", "latents", "α", "fit s",
+    "model", "held-out", "p99", "signal", "nearest", "floor", "MB", "ms", "kop", "latents", "α",
+    "fit s",
 )  # fmt: skip
 
 
@@ -32,18 +34,19 @@ def row(name: str, data: Dataset, config: TrainConfig) -> list[str]:
     model = train(data, config)
     print(f"{name}: trained in {time.perf_counter() - started:.0f} s", flush=True)
     model.save(OUT / f"{data.scene_name} {name.replace(':', ',')}.safetensors")
-    proto = build_onnx(model).SerializeToString()
-    predict = OnnxModel(proto, threads=2)
+    proto = build_onnx(model)
+    predict = OnnxModel(proto.SerializeToString(), threads=2)
     blocks = dataset_truth(model, data, data.held_out)
     result = evaluate(model, predict, blocks, NearestPose(data))
     milliseconds = predict.milliseconds(data.read("pose", slice(1)), repeats=300)
     return [
         name,
         *(per_cent(result[key]) for key in ("rms", "p99", "signal", "nearest", "pca_floor")),
-        f"{len(proto) / 1e6:.2f}",
+        f"{proto.ByteSize() / 1e6:.2f}",
         f"{milliseconds:.2f}",
+        f"{graph_cost(proto).operations / 1e3 / model.receiver_count:.1f}",
         f"{np.mean(model.latents):.1f}",
-        f"{model.metadata['alpha']:g}",
+        f"{model.metadata['alpha']:.2g}",
         f"{model.metadata['seconds']['fit']:.1f}",
     ]
 
@@ -70,9 +73,9 @@ def robot() -> None:
         row("preset tiny", data, dataclasses.replace(PRESETS["tiny"], clusters=16)),
         row("preset large", data, dataclasses.replace(PRESETS["large"], clusters=16)),
         row(
-            "preset large, 8 bits",
+            "preset large, 4 bits",
             data,
-            dataclasses.replace(PRESETS["large"], clusters=16, storage="int8"),
+            dataclasses.replace(PRESETS["large"], clusters=16, storage="int4"),
         ),
     ]
     publish("robot", COLUMNS, rows)
@@ -98,7 +101,7 @@ def human() -> None:
         ("preset small", PRESETS["small"]),
         ("preset fast", PRESETS["fast"]),
         ("preset large", PRESETS["large"]),
-        ("preset large, 8 bits", dataclasses.replace(PRESETS["large"], storage="int8")),
+        ("preset large, 4 bits", dataclasses.replace(PRESETS["large"], storage="int4")),
         ("preset tiny", PRESETS["tiny"]),
         ("preset best", PRESETS["best"]),
     ):

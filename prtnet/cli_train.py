@@ -24,7 +24,7 @@ def fitting(
     dataset: Dataset, config: TrainConfig, budget: Budget, threads: int
 ) -> Callable[[Monitor], VisibilityModel]:
     """How to fit a model: as configured, or the cheapest within a budget."""
-    if not budget:
+    if not budget and config.kind != "auto":
         from training.train import train as fit
 
         return functools.partial(fit, dataset, config)

@@ -41,6 +41,7 @@ CHOSEN = (
     "kind", "parts", "latents", "step", "output_variance", "storage", "frame", "target",
 )  # fmt: skip
 """Options that a search settles itself."""
+SENSIBLE = 1.1  # times the least error: from there on bytes buy little
 FEW = 8  # training poses that are enough to build a graph of
 
 
@@ -159,7 +160,7 @@ def search(
     Args:
         dataset: from ``prtnet generate``.
         base: options that the search does not choose.
-        budget: the limits.
+        budget: the limits; where there are none, a little more than the least error of quick kinds.
         milliseconds: a pose takes in a graph, given as bytes.
         monitor: is told how it goes.
 
@@ -171,12 +172,16 @@ def search(
             asks for what the search chooses.
     """
     started = time.perf_counter()
+    if base.kind == "auto":
+        base = dataclasses.replace(base, kind=TrainConfig().kind)
     for name in CHOSEN:
         if getattr(base, name) != getattr(TrainConfig(), name):
             option = f"--{name.replace('_', '-')}"
             limits = "--max-error, --max-ms or --max-mb"
             raise PrtnetError(option, f"is chosen by {limits}; leave it, or its preset, out")
     candidates = Candidates(dataset, base, monitor)
+    if not budget:
+        budget = sensible(candidates)
     choices = compare(candidates, budget, milliseconds)
     chosen = best(choices, budget)
     model = candidates.finished(chosen)
@@ -189,6 +194,13 @@ def search(
         "compared": [dataclasses.asdict(choice) for choice in choices],
     }
     return model
+
+
+def sensible(candidates: Candidates) -> Budget:
+    """A little more than the least error of the kinds that do not look around every receiver."""
+    quick = [name for name, options in FAMILIES.items() if options["kind"] not in AROUND]
+    least = min(float(candidates[name].errors.min()) for name in quick)
+    return Budget(max_error=float(np.clip(SENSIBLE * least, 1e-6, 0.99)))
 
 
 def compare(

@@ -96,10 +96,12 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
 
     Raises:
         PrtnetError: the dataset has no training poses, values that are not finite, or no features
-            of this kind.
+            of this kind; or the kind is ``auto``.
     """
     watch = monitor or Silent()
     started = time.perf_counter()
+    if config.kind == "auto":
+        raise PrtnetError("--kind", "auto is for prtnet train and training.search.search alone")
     rows = training_rows(dataset)
     model = fit_model(dataset, rows, config, cross_validation_folds(dataset, rows), watch)
     report_errors(model, dataset, watch)

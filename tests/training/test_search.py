@@ -174,6 +174,19 @@ def test_groups_that_never_change_keep_their_mean_alone(monkeypatch):
     assert "their mean alone" in model.metadata["search"]["why"]
 
 
+def test_auto_stops_where_more_buys_little():
+    data = scene()
+    model = search(data, dataclasses.replace(SMALL, kind="auto"), Budget(), by_size)
+    facts = model.metadata["search"]
+    rich = found(data, max_mb=10.0).metadata["search"]["compared"]
+    least = min(each["error"] for each in rich)
+    assert facts["budget"]["max_error"] == pytest.approx(1.1 * least)
+    assert least < facts["chosen"]["error"] <= 1.1 * least
+    assert onnx_bytes(model) < min(e["model_bytes"] for e in rich if e["error"] == least)
+    with pytest.raises(PrtnetError, match="auto is for"):
+        train(data, dataclasses.replace(SMALL, kind="auto"))
+
+
 def test_too_few_clips_cannot_judge():
     with pytest.raises(PrtnetError, match="too few training poses"):
         found(memory_dataset(clips=1, per_clip=2), max_error=0.1)
