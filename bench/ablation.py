@@ -1,6 +1,6 @@
 """What each lever brings on the human: held-out error, megabytes, milliseconds.
 
-python bench/ablation.py [--write]
+python bench/ablation.py [neural] [--write]
 
 Two starting points, a network a cluster (preset default) and a map around every receiver (preset
 tiny, in float32); each row changes one thing. Weight decay is chosen anew in every row.
@@ -9,13 +9,14 @@ tiny, in float32); each row changes one thing. Weight decay is chosen anew in ev
 from __future__ import annotations
 
 import dataclasses
+import sys
 import time
 from typing import Any
 from unittest import mock
 
 import numpy as np
 import torch
-from tables import HUMAN, dataset, held_out_errors, per_cent, publish
+from tables import HUMAN, dataset, held_out_errors, markdown, per_cent, publish
 
 from prtnet import prior, sh
 from prtnet.arrays import FloatArray, IntArray
@@ -26,6 +27,7 @@ from training.config import PRESETS, TrainConfig
 from training.onnx_export import build_onnx
 from training.train import train
 
+NOISE = 0.0083  # of visibility at 512 rays, relative: bench/visibility.py
 EVERY = 4  # which held-out poses are judged: models around receivers are slow
 COLUMNS = ("lever", "held-out", "change", "p99", "MB", "ms", "seconds")
 NEURAL = PRESETS["default"]
@@ -47,7 +49,11 @@ NEURAL_LEVERS: list[tuple[str, dict[str, Any]]] = [
     ("8 groups a cluster, 32 latents", {"parts": 8, "latents": 32}),
     ("clusters by signal", {"clustering": "signal"}),
     ("clusters of like skin weights", {"clustering": "weights"}),
+    ("clusters that turn alike", {"clustering": "rigid"}),
     ("8 bits", {"storage": "int8"}),
+    ("4 and 8 bits", {"storage": "int4"}),
+    ("all 160 spheres near: no choice of occluders brings more", {"near": 160}),
+    ("320 spheres, 96 near: no other shape of occluders does", {"spheres": 320, "near": 96}),
 ]
 AROUND_LEVERS: list[tuple[str, dict[str, Any]]] = [
     ("patches alone, one sphere", {"near_spheres": 1}),
@@ -64,6 +70,18 @@ class Thinned(Dataset):
 
     def training_poses(self) -> IntArray:
         return super().training_poses()[::2]
+
+
+class Noisy(Thinned):
+    """With the noise of 512 rays once more in the training poses' visibility."""
+
+    def read(self, name: str, index: int | slice | IntArray | None = None) -> Any:
+        value = super().read(name, index)
+        rows = np.atleast_1d(np.arange(len(self))[slice(None) if index is None else index])
+        if name != "visibility" or not np.isin(rows, self.training_poses()).all():
+            return value
+        noise = np.random.default_rng(int(rows[0])).normal(size=value.shape)
+        return value + (NOISE * np.sqrt(np.square(value).mean()) * noise).astype(np.float32)
 
 
 class ThinnedClips(Thinned):
@@ -145,8 +163,12 @@ def main() -> None:
     table = Table()
     table.add("**a network a cluster**", data, NEURAL, start=True)
     table.add("no sampled poses", clips, NEURAL)
+    table.add("targets twice as noisy: no weighing of noise brings more", Noisy.open(path), NEURAL)
     for name, options in NEURAL_LEVERS:
         table.add(name, data, dataclasses.replace(NEURAL, **options))
+    if "neural" in sys.argv:
+        print(markdown(COLUMNS, table.rows))
+        return
     table.add("**a map around every receiver**", data, AROUND, start=True)
     table.add("no sampled poses", clips, AROUND)
     for name, options in AROUND_LEVERS:

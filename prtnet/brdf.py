@@ -2,11 +2,13 @@
 
 ``brdf(light, view)`` takes unit directions that point away from the surface and returns f (…, 3) of
 linear RGB in 1/sr, **without** the cosine; zero where either direction is below the horizon. Every
-model is reciprocal and reflects no more light than it receives, where its parameters allow for it.
+model is reciprocal. It reflects no more light than it receives where its diffuse and specular parts
+are together at most 1; Schlick's does even then where it is seen at a grazing angle.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -15,6 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from prtnet.arrays import FloatArray
+from prtnet.errors import PrtnetError
 
 __all__ = [
     "BRDF",
@@ -31,6 +34,7 @@ __all__ = [
 
 Colour = tuple[float, float, float]
 TINY = 1e-12
+UNIT = frozenset(("diffuse", "specular", "fresnel", "roughness", "isotropy"))  # in [0, 1]
 SMOOTHEST = 1e-3  # roughness: below it a highlight is narrower than float32 tells directions apart
 
 
@@ -45,6 +49,15 @@ class BRDF(ABC):
         seen = (light[..., 2] > 0) & (view[..., 2] > 0)
         value = self.above(light, view)
         return np.where(seen[..., None], value, 0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse parameters that no surface has."""
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            values = np.asarray(getattr(self, field.name), dtype=np.float64)
+            if not (np.isfinite(values).all() and (values >= 0.0).all()):
+                raise PrtnetError(f"BRDF {self.name}", f"{field.name} must be finite, at least 0")
+            if field.name in UNIT and (values > 1.0).any():
+                raise PrtnetError(f"BRDF {self.name}", f"{field.name} must be at most 1")
 
     @abstractmethod
     def above(self, light: FloatArray, view: FloatArray) -> FloatArray:
@@ -199,8 +212,8 @@ class Schlick(BRDF):
 
     ``isotropy`` 1 is isotropic; towards 0 the surface is scratched along the tangent, and
     highlights stretch across. The ideal mirror of the paper's mixture is left out: no table of
-    samples holds it. Seen at a grazing angle the model reflects up to a quarter more light than
-    comes.
+    samples holds it. Seen at a grazing angle the model reflects more light than comes, a quarter
+    more at 85 degrees, twice as much just above the horizon where it is smooth.
     """
 
     name: ClassVar[str] = "schlick"

@@ -7,7 +7,6 @@ brings by a hundredth, where the leading ones need 8.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +20,8 @@ __all__ = ["BITS", "Coded", "Coding", "coding", "from_bytes", "leading_bits", "t
 
 BITS = {4: 7, 8: 127}  # bits of a component, and the largest integer they hold
 CLIPPED = (1.0, 0.85, 0.7, 0.55)  # parts of the range that integers may span: the best is taken
-ROUNDING = 100.0  # times a component's energy loses in 4 bits is about what is lost of it
+LEAST = 0.05  # quantile of components' energy that is not worth more bytes
+ROUNDING = 7.0  # times that energy: on the robot more bits buy less from there on
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +41,6 @@ class Coding:
     def __len__(self) -> int:
         """Number of components."""
         return len(self.bits)
-
-    def taken(self, rows: IntArray) -> Coding:
-        """The same of some components."""
-        return dataclasses.replace(self, bits=self.bits[rows], orders=self.orders[rows])
 
     def classes(self) -> Iterator[tuple[int, int, IntArray]]:
         """Bits, bands, and the components that have them; each component once."""
@@ -108,9 +104,12 @@ def coding(basis: FloatArray, size: int, bits: IntArray, orders: IntArray | None
 
 
 def leading_bits(energy: FloatArray) -> IntArray:
-    """Bits of components of so much energy each, (K,): 8 where 4 would lose more than the least."""
+    """Bits of components of so much energy each, (K,): 8 where 4 lose more than others bring.
+
+    Those others are the twentieth part that brings least: as many bytes could buy more of them.
+    """
     positive = energy[energy > 0]
-    least = float(positive.min()) if len(positive) else 0.0
+    least = float(np.quantile(positive, LEAST)) if len(positive) else 0.0
     return np.where(energy > ROUNDING * least, 8, 4).astype(np.int32)
 
 
@@ -155,7 +154,7 @@ def from_bytes(data: Any, scale: FloatArray, how: Coding, slots: int) -> Coded:
         length = -(-width // 2) if bits == 4 else width
         own = data[at : at + len(rows) * length]
         if len(own) < len(rows) * length:
-            break
+            raise ValueError("basis is shorter than its bits and orders say")
         own = own.reshape(len(rows), length)
         own = unpacked(own, width) if bits == 4 else own.view(np.int8)
         values[rows, :, : order**2] = own.reshape(len(rows), slots, order**2)

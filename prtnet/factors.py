@@ -106,8 +106,13 @@ def factorise(
         count: factors k.
         mapping: of the table.
         most: larger values are clamped first ("All-Frequency" section 3 clamps at 3).
+
+    Raises:
+        ValueError: there are fewer light directions than factors.
     """
     views, lights, colours = table.shape
+    if not 1 <= count <= lights:
+        raise ValueError(f"a table of {lights} light directions has no {count} factors")
     kept = table if most is None else np.minimum(table, most)
     matrix = kept.swapaxes(1, 2).reshape(views * colours, lights).astype(np.float64)
     # Of the smaller side's Gram matrix: k of a thousand singular values are asked for.

@@ -17,6 +17,7 @@ __all__ = ["SHAPE", "Measured", "bins", "read_merl"]
 
 SHAPE = (90, 90, 180)  # of half angle, difference angle, and azimuth of the difference
 SCALE = np.array([1.0, 1.15, 1.66]) / 1500.0  # of red, green and blue
+MOST = 1e30  # as stored: float32 holds what it is scaled to
 HEADER = 12  # bytes: three int32
 
 
@@ -68,7 +69,8 @@ def read_merl(path: str | Path) -> Measured:
     """Read a ``.binary`` file; what was not measured (negative) is black.
 
     Raises:
-        PrtnetError: the file is missing, of another layout, cut short, or holds no numbers.
+        PrtnetError: the file is missing, of another layout, cut short, or holds values that are
+            not finite.
     """
     file = Path(path)
     if not file.is_file():
@@ -83,7 +85,7 @@ def read_merl(path: str | Path) -> Measured:
     if found != expected:
         raise PrtnetError(path, f"has {found} bytes, not {expected}; download it again")
     planes = np.fromfile(file, dtype="<f8", offset=HEADER).reshape(3, *SHAPE)
-    if not np.isfinite(planes).all():
-        raise PrtnetError(path, "holds values that are not finite; download it again")
+    if not (np.abs(planes) < MOST).all():  # so that NaN fails
+        raise PrtnetError(path, "holds values that no surface has; download it again")
     table = np.moveaxis(np.maximum(planes, 0.0), 0, -1) * SCALE
     return Measured(table.astype(np.float32))

@@ -114,6 +114,8 @@ class VisibilityModel:
         neurons: of each cluster's tanh layer, (C,): weights of the others are zero. None where all
             clusters use all.
         coding: how the components are stored; only under ``int4``.
+        bounds: least and greatest value of each coefficient in training, (2, n²): beside a prior,
+            which knows no mean to fade to, visibility is kept between them. None elsewhere.
     """
 
     kind: str
@@ -134,6 +136,7 @@ class VisibilityModel:
     signal: FloatArray | None = None
     neurons: IntArray | None = None
     coding: Coding | None = None
+    bounds: FloatArray | None = None
 
     @property
     def receiver_count(self) -> int:
@@ -325,7 +328,8 @@ class VisibilityModel:
     def __call__(self, poses: FloatArray) -> FloatArray:
         """Visibility (P, V, n²) float32, local frames, of flattened poses (P, D)."""
         self.check_pose(poses)
-        return self.decode(self.latent(poses)) + self.prior_part(poses)
+        value = self.decode(self.latent(poses)) + self.prior_part(poses)
+        return value if self.bounds is None else np.clip(value, self.bounds[0], self.bounds[1])
 
     def prior_part(self, poses: FloatArray) -> FloatArray:
         """What the prior gives (P, V, n²), or zeros that broadcast."""
@@ -363,8 +367,7 @@ class VisibilityModel:
         if self.prior is not None:
             header |= {"prior": self.prior.kind, "surroundings": self.prior.surroundings.kind}
             arrays |= {f"prior.{name}": a for name, a in self.prior.arrays().items()}
-        if self.signal is not None:
-            arrays["signal"] = self.signal
+        arrays |= {n: getattr(self, n) for n in AROUND_ARRAYS if getattr(self, n) is not None}
         arrays |= {f"regressor.{name}": a for name, a in self.regressor.arrays().items()}
         arrays |= {f"features.{name}": a for name, a in self.features.arrays().items()}
         if self.regressor.hidden_bias is not None:
@@ -392,9 +395,10 @@ class VisibilityModel:
             )
         try:
             parts: dict[str, dict[str, Any]] = {"features": {}, "regressor": {}, "prior": {}}
-            if header.get("storage", "float32") not in STORAGES:
-                raise ValueError(f"no storage is called {header['storage']}")
-            arrays, how = with_components(restored(arrays), int(header["order"]))
+            storage = header.get("storage", "float32")
+            if storage not in STORAGES:
+                raise ValueError(f"no storage is called {storage}")
+            arrays, how = with_components(restored(arrays), int(header["order"]), storage)
             arrays = unpack(arrays)
             neurons = arrays.pop("neurons", None)
             if neurons is not None and (neurons == neurons.max()).all():
@@ -414,6 +418,7 @@ class VisibilityModel:
                 input_high=arrays.get("input_high"),
                 prior=read_prior(header, parts["prior"]),
                 signal=arrays.get("signal"),
+                bounds=arrays.get("bounds"),
                 neurons=neurons,
                 coding=how,
             )
@@ -426,3 +431,4 @@ class VisibilityModel:
 
 
 RANGE_ARRAYS = ("input_low", "input_high")
+AROUND_ARRAYS = ("signal", "bounds")  # of models with a prior

@@ -142,13 +142,17 @@ def without_components(model: VisibilityModel, arrays: dict[str, Any]) -> dict[s
     )
 
 
-def with_components(arrays: dict[str, Any], order: int) -> tuple[dict[str, Any], Coding | None]:
+def with_components(
+    arrays: dict[str, Any], order: int, storage: str
+) -> tuple[dict[str, Any], Coding | None]:
     """The inverse: components as float32, and how they were coded, if they were.
 
     Raises:
         ValueError: the arrays do not fit each other.
     """
-    if "coding.bits" not in arrays:
+    if (storage == "int4") != ("coding.bits" in arrays):
+        raise ValueError("components are coded, or not, against what storage says")
+    if storage != "int4":
         return arrays, None
     data, scale, bits, orders, profile = (arrays[name] for name in COMPONENTS)
     how = Coding(bits.astype(np.int32), orders.astype(np.int32), profile)
@@ -157,6 +161,11 @@ def with_components(arrays: dict[str, Any], order: int) -> tuple[dict[str, Any],
         and ((orders >= 1) & (orders <= order)).all()
     ):  # fmt: skip
         raise ValueError("coding does not fit the order")
+    scales = np.concatenate([scale.ravel(), profile])
+    if (data.dtype, scale.dtype) != (np.uint8, np.float32):
+        raise ValueError("basis are no bytes, or their scales no numbers")
+    if not ((scales > 0) & np.isfinite(scales)).all():
+        raise ValueError("scales of the basis are not finite, or not above zero")
     basis = from_bytes(data, scale, how, arrays["receivers"].shape[1]).array()
     rest = {name: array for name, array in arrays.items() if name not in COMPONENTS}
     return rest | {"basis": basis}, how
@@ -232,6 +241,10 @@ def check_shapes(model: VisibilityModel) -> None:
         if model.signal.shape != (model.receiver_count, model.order**2):
             raise ValueError("signal does not fit the receivers and the order")
         every["signal"] = model.signal
+    if model.bounds is not None:
+        if model.bounds.shape != (2, model.order**2) or (model.bounds[0] > model.bounds[1]).any():
+            raise ValueError("bounds do not fit the order, or each other")
+        every["bounds"] = model.bounds
     every |= model.regressor.arrays() | model.features.arrays()
     for name, array in every.items():
         if not np.isfinite(array).all():

@@ -73,6 +73,9 @@ class ReflectionOperator:
         """
         both = np.frombuffer(data, dtype="<f2").astype(np.float32).reshape(count, -1)
         rows, columns = np.triu_indices(order**2)
+        size = (both.shape[1] - len(rows)) / 3.0
+        if size < 1 or round(size**0.5) ** 2 != size:
+            raise ValueError(f"{len(data)} bytes are no {count} factors of order {order}")
         matrices = np.empty((count, order**2, order**2), dtype=np.float32)
         matrices[:, rows, columns] = matrices[:, columns, rows] = both[:, : len(rows)]
         return ReflectionOperator(matrices, both[:, len(rows) :].reshape(count, -1, 3))

@@ -24,7 +24,8 @@ class TrainConfig:
     leading ones, or one hidden layer of tanh. Or two that see what surrounds every receiver: hybrid
     maps it by a matrix a cluster, shared by one network for all receivers; a tanh layer a cluster
     then corrects what is left, in so many latents. With auto a search decides, as with --max-error:
-    the smallest model within a tenth of the least error that quick kinds are expected to reach."""
+    the smallest model within a tenth of the least error that quick kinds are expected to reach, or
+    all kinds for point caches."""
     features: Literal["joint_angles", "local_joints", "occluders"] | None = None
     """What it sees: the papers' joint angles (dihedral angles for point caches), or what is around
     each cluster, joints or occluders; when not given, occluders for skinned scenes."""

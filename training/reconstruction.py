@@ -92,7 +92,7 @@ def visibility_nodes(
         graph.node("Gather", every, receivers, axis=1, output="visibility")
         return
     own = graph.node("Gather", every, receivers, axis=1)
-    graph.node("Add", own, prior, output="visibility")
+    bounded_nodes(graph, model, graph.node("Add", own, prior))
 
 
 def mean_nodes(graph: GraphBuilder, model: VisibilityModel, prior: str | None) -> None:
@@ -100,10 +100,23 @@ def mean_nodes(graph: GraphBuilder, model: VisibilityModel, prior: str | None) -
     means = graph.reshape(graph.stored(model.stored("mean")), [-1, model.order**2])
     place = graph.index(model.slot_of_receiver)
     mean = graph.node("Gather", means, place, axis=0)
-    if prior is None:  # something that has as many rows as there are poses, and is zero
-        first = graph.clip(graph.slice("pose", 0, 1, 1), 0.0, 0.0)
-        prior = graph.reshape(first, [-1, 1, 1])
-    graph.node("Add", prior, mean, output="visibility")
+    if prior is not None:
+        bounded_nodes(graph, model, graph.node("Add", prior, mean))
+        return
+    # Something that has as many rows as there are poses, and is zero.
+    first = graph.clip(graph.slice("pose", 0, 1, 1), 0.0, 0.0)
+    graph.node("Add", graph.reshape(first, [-1, 1, 1]), mean, output="visibility")
+
+
+def bounded_nodes(graph: GraphBuilder, model: VisibilityModel, value: str) -> None:
+    """``visibility`` of (P, V, n²), within the model's bounds; Clip takes scalar ones only."""
+    if model.bounds is None:
+        graph.reshape(value, [-1, model.receiver_count, model.order**2], output="visibility")
+        return
+    low, high = (graph.constant(bound) for bound in model.bounds)
+    over = graph.node("Relu", graph.node("Sub", value, high))
+    under = graph.node("Relu", graph.node("Sub", low, value))
+    graph.node("Add", graph.node("Sub", value, over), under, output="visibility")
 
 
 def row_nodes(

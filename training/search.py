@@ -41,6 +41,7 @@ CHOSEN = (
     "kind", "parts", "latents", "step", "output_variance", "storage", "frame", "target",
 )  # fmt: skip
 """Options that a search settles itself."""
+ANY_SIZE = 1e6  # megabytes
 SENSIBLE = 1.1  # times the least error: from there on bytes buy little
 FEW = 8  # training poses that are enough to build a graph of
 
@@ -177,8 +178,8 @@ def search(
     for name in CHOSEN:
         if getattr(base, name) != getattr(TrainConfig(), name):
             option = f"--{name.replace('_', '-')}"
-            limits = "--max-error, --max-ms or --max-mb"
-            raise PrtnetError(option, f"is chosen by {limits}; leave it, or its preset, out")
+            searches = "--kind auto, --max-error, --max-ms and --max-mb"
+            raise PrtnetError(option, f"is chosen by {searches}; leave it, or its preset, out")
     candidates = Candidates(dataset, base, monitor)
     if not budget:
         budget = sensible(candidates)
@@ -197,10 +198,16 @@ def search(
 
 
 def sensible(candidates: Candidates) -> Budget:
-    """A little more than the least error of the kinds that do not look around every receiver."""
-    quick = [name for name, options in FAMILIES.items() if options["kind"] not in AROUND]
-    least = min(float(candidates[name].errors.min()) for name in quick)
-    return Budget(max_error=float(np.clip(SENSIBLE * least, 1e-6, 0.99)))
+    """A little more than the least error of the kinds that are quick, or of all for point caches.
+
+    The quick kinds look at a cache's dihedral angles alone, which tell little of its shadows.
+    """
+    every = candidates.dataset.scene_kind == "point_cache"
+    tried = [name for name, own in FAMILIES.items() if every or own["kind"] not in AROUND]
+    least = min(float(candidates[name].errors.min()) for name in tried)
+    if SENSIBLE * least >= 1.0:  # nothing tells anything of these poses
+        return Budget(max_mb=ANY_SIZE)
+    return Budget(max_error=max(SENSIBLE * least, 1e-6))
 
 
 def compare(

@@ -196,9 +196,10 @@ def prepared(
 
     watch.stage("clusters and components")
     slots = cluster_receivers(dataset, rows, visibility, config) if layout is None else layout.slots
-    prior, signal = None, None
+    prior, signal, bounds = None, None, None
     if config.kind in AROUND:
         signal = visibility.mean(axis=0, dtype=np.float64).astype(np.float32)
+        bounds = np.stack([visibility.min(axis=(0, 1)), visibility.max(axis=(0, 1))])
         prior = fit_prior(dataset, poses, visibility, slots, config, watch)
         subtract(prior, poses, visibility, watch)
         watch.stage("components of what is left")
@@ -232,6 +233,7 @@ def prepared(
         metadata=describe(dataset, config, features),
         prior=prior,
         signal=signal,
+        bounds=bounds,
     )
     data = with_products_and_smoothness(data, dataset, rows, config)
     return Fitting(config, body, Layout(slots, groups), data, values)

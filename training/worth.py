@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -290,7 +291,24 @@ def allocated(models: Sequence[VisibilityModel], found: Allocation) -> Visibilit
         latents=found.counts.astype(np.int32),
         basis=basis,
         neurons=neurons,
+        metadata=chosen_facts(models, found),
     ).stored_as("int4", coding(basis, body.order**2, found.bits[kept], orders))
+
+
+def chosen_facts(models: Sequence[VisibilityModel], found: Allocation) -> dict[str, Any]:
+    """The header, with how the fits of the neurons went that clusters have; all fits' seconds."""
+    used = [model for k, model in enumerate(models) if (found.neurons == k).any()] or models[:1]
+    status: dict[str, int] = {}
+    for model in used:
+        for text, count in model.metadata["fit_status"].items():
+            status[text] = status.get(text, 0) + count
+    seconds = sum(model.metadata["seconds"]["fit"] for model in models)
+    return {
+        **models[0].metadata,
+        "fit_status": status,
+        "fits": [one for model in used for one in model.metadata["fits"]],
+        "seconds": {**models[0].metadata["seconds"], "fit": seconds},
+    }
 
 
 def chosen_regressor(

@@ -20,6 +20,7 @@ from prtnet.brdf import (
     albedo,
     mirrored,
 )
+from prtnet.errors import PrtnetError
 
 ALL = [
     Lambert(), Phong(), BlinnPhong(), CookTorrance(), GGX(), Schlick(), AshikhminShirley(),
@@ -152,6 +153,22 @@ def test_extremes_stay_finite(roughness, z, other, phi):
         value = brdf(light, view)
         assert np.isfinite(value).all()
         assert (value >= 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: GGX(roughness=math.nan), "roughness must be finite"),
+        (lambda: GGX(roughness=-1.0), "roughness must be finite, at least 0"),
+        (lambda: Phong(exponent=-5.0), "exponent must be finite, at least 0"),
+        (lambda: Lambert((0.1, 1.2, 0.3)), "diffuse must be at most 1"),
+        (lambda: CookTorrance(fresnel=2.0), "fresnel must be at most 1"),
+        (lambda: AshikhminShirley(along=math.inf), "along must be finite"),
+    ],
+)
+def test_parameters_that_no_surface_has_are_refused(make, told):
+    with pytest.raises(PrtnetError, match=told):
+        make()
 
 
 def test_a_black_surface_is_black():

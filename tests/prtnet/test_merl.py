@@ -68,7 +68,8 @@ def test_a_measured_material_is_the_one_that_was_measured(file):
         (lambda d: d + b"12345678", "bytes, not"),
         (lambda d: d[:6], "is no MERL"),
         (lambda d: np.array([90, 90, 90], "<i4").tobytes() + d[12:], "is no MERL"),
-        (lambda d: d[:20] + np.array([np.nan], "<f8").tobytes() + d[28:], "not finite"),
+        (lambda d: d[:20] + np.array([np.nan], "<f8").tobytes() + d[28:], "no surface has"),
+        (lambda d: d[:20] + np.array([1e300], "<f8").tobytes() + d[28:], "no surface has"),
     ],
 )
 def test_damaged_files_are_told(change, told, file, tmp_path):

@@ -88,6 +88,8 @@ def test_a_material_is_small_and_comes_back():
         bright.packed()
     with pytest.raises(ValueError, match="reshape"):
         ReflectionOperator.unpacked(data[:-2], 8)
+    with pytest.raises(ValueError, match="no 8 factors of order 2"):
+        ReflectionOperator.unpacked(data, 8, order=2)
 
 
 def test_a_black_material_reflects_nothing():
