@@ -1,4 +1,4 @@
-"""Bytes and error of a model of the human stored as float32, float16 and int8.
+"""Bytes and error of models of the human in every storage there is.
 
 python bench/storage.py [--write]
 """
