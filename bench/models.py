@@ -18,7 +18,7 @@ from prtnet.dataset import SAMPLED, Dataset
 from prtnet.evaluation import NearestPose, dataset_truth, evaluate
 from runtime.onnx_model import OnnxModel
 from training.config import PRESETS, TrainConfig
-from training.graph_cost import graph_cost
+from training.graph_cost import operations
 from training.onnx_export import build_onnx
 from training.train import train
 
@@ -44,7 +44,7 @@ def row(name: str, data: Dataset, config: TrainConfig) -> list[str]:
         *(per_cent(result[key]) for key in ("rms", "p99", "signal", "nearest", "pca_floor")),
         f"{proto.ByteSize() / 1e6:.2f}",
         f"{milliseconds:.2f}",
-        f"{graph_cost(proto).operations / 1e3 / model.receiver_count:.1f}",
+        f"{operations(proto) / 1e3 / model.receiver_count:.1f}",
         f"{np.mean(model.latents):.1f}",
         f"{model.metadata['alpha']:.2g}",
         f"{model.metadata['seconds']['fit']:.1f}",

@@ -23,6 +23,7 @@ from prtnet.console import Console, Report
 from prtnet.dataset import Dataset
 from prtnet.model import VisibilityModel
 from prtnet.modelled_scene import ModelledScene
+from prtnet.seams import JumpSum, cluster_of_receiver, receiver_edges
 
 
 def prtnet(*argv: str | Path) -> None:
@@ -106,6 +107,18 @@ def test_evaluation_of_a_scene_agrees(work: Path) -> None:
     )
     assert results["poses"][3]["nearest_distance"] is None
     assert results["clips"]["bend"]["held_out"] is False
+
+
+def test_borders_of_clusters_do_not_show(work: Path) -> None:
+    """The error jumps less across them than visibility itself varies inside clusters."""
+    data, model = Dataset.open(work / "arm.zarr"), VisibilityModel.load(work / "arm.safetensors")
+    edges = receiver_edges(data.faces, data.receiver_of_vertex)
+    owner = cluster_of_receiver(model.receivers)
+    truth = data.read("visibility")
+    errors, truths = JumpSum(edges), JumpSum(edges)
+    errors.add(model(data.read("pose")) - truth)
+    truths.add(truth)
+    assert 0.0 < errors.rms(owner)[0] < 0.5 * truths.rms(owner)[1]
 
 
 def test_a_limit_on_the_error_finds_a_model(

@@ -1,4 +1,4 @@
-"""What a graph computes for one pose, counted: operations and bytes that no engine can leave out.
+"""What a graph computes for one pose, counted.
 
 Shaders that do what a graph does need the same arithmetic, spread over their vertices.
 """
@@ -6,35 +6,26 @@ Shaders that do what a graph does need the same arithmetic, spread over their ve
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import onnx
 from onnx import shape_inference
 
-__all__ = ["GraphCost", "graph_cost"]
+__all__ = ["operations"]
 
 MOVES = frozenset(("Cast", "Concat", "Gather", "Reshape", "Slice", "Transpose"))
 
 
-@dataclass(frozen=True)
-class GraphCost:
-    """Of one pose.
+def operations(proto: onnx.ModelProto) -> int:
+    """Additions, multiplications, divisions, roots, comparisons and tanh of one pose.
 
-    Attributes:
-        operations: additions, multiplications, divisions, square roots, comparisons and tanh; a
-            multiply-add is two.
-        constant_bytes: of float32 constants that they read, once each.
-    """
+    A multiply-add is two. What depends on constants alone is folded, and free; so is what only
+    moves numbers.
 
-    operations: int
-    constant_bytes: int
-
-
-def graph_cost(proto: onnx.ModelProto) -> GraphCost:
-    """Count a graph of ``GraphBuilder``; what depends on constants alone is folded, and free.
+    Args:
+        proto: of ``GraphBuilder``.
 
     Raises:
-        ValueError: an operator is not known, or a shape not told.
+        ValueError: a shape is not told.
     """
     one = onnx.ModelProto()
     one.CopyFrom(proto)
@@ -44,28 +35,23 @@ def graph_cost(proto: onnx.ModelProto) -> GraphCost:
     shapes = {tensor.name: list(tensor.dims) for tensor in inferred.initializer}
     for value in (*inferred.value_info, *inferred.input, *inferred.output):
         shapes[value.name] = [d.dim_value for d in value.type.tensor_type.shape.dim]
-    constant = {tensor.name for tensor in inferred.initializer}
-    operations, read = 0, set()
+    constant = {tensor.name for tensor in inferred.initializer} | {""}  # what is left out
+    total = 0
     for node in inferred.node:
         if constant.issuperset(node.input):
             constant.update(node.output)
-            continue
-        out = math.prod(known(shapes, node.output[0]))
-        if node.op_type == "MatMul":
-            operations += 2 * out * known(shapes, node.input[0])[-1]
+        elif node.op_type == "MatMul":
+            total += 2 * size(shapes, node.output[0]) * shapes[node.input[0]][-1]
         elif node.op_type == "ReduceSum":
-            operations += math.prod(known(shapes, node.input[0]))
+            total += size(shapes, node.input[0])
         elif node.op_type not in MOVES:
-            operations += out
-        if node.op_type not in MOVES:
-            read.update(constant.intersection(node.input))
-    numbers = sum(math.prod(known(shapes, name)) for name in read)
-    return GraphCost(operations, 4 * numbers)
+            total += size(shapes, node.output[0])
+    return total
 
 
-def known(shapes: dict[str, list[int]], name: str) -> list[int]:
-    """A shape without unknown sizes."""
+def size(shapes: dict[str, list[int]], name: str) -> int:
+    """How many numbers a value has."""
     shape = shapes.get(name)
-    if shape is None or any(size <= 0 for size in shape):
+    if shape is None or any(length <= 0 for length in shape):
         raise ValueError(f"the shape of {name} is not known")
-    return shape
+    return math.prod(shape)

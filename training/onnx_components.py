@@ -6,10 +6,12 @@ column, without those that are zero.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from onnx import TensorProto
 
-from prtnet.arrays import FloatArray, IntArray
+from prtnet.arrays import IntArray
 from prtnet.components import Coded, blocks
 from prtnet.storage import Stored
 from training.onnx_graph import GraphBuilder
@@ -40,7 +42,7 @@ def component_nodes(graph: GraphBuilder, coded: Coded) -> tuple[str, IntArray]:
     return (parts[0] if len(parts) == 1 else graph.node("Concat", *parts, axis=0)), position
 
 
-def pair_nodes(graph: GraphBuilder, data: FloatArray, width: int) -> str:
+def pair_nodes(graph: GraphBuilder, data: Any, width: int) -> str:
     """(B, width) of bytes that hold two integers each: Cast to int32 drops the lower one."""
     both = graph.node("Cast", graph.initializer(data), to=TensorProto.FLOAT)
     sixteenth = graph.node("Mul", both, graph.constant(1.0 / 16.0))

@@ -62,7 +62,7 @@ TRIAL_ITERATIONS = 60  # cross-validation compares, it need not converge
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class Problem:
     """What the regressors are fitted to, as tensors.
 
     Attributes:
@@ -132,7 +132,7 @@ class Fitting:
     config: TrainConfig
     body: VisibilityModel
     layout: Layout
-    data: Prepared
+    data: Problem
     features: FloatArray
 
     def model(self, neurons: int, alpha: float, watch: Monitor) -> VisibilityModel:
@@ -196,13 +196,7 @@ def prepared(
 
     watch.stage("clusters and components")
     slots = cluster_receivers(dataset, rows, visibility, config) if layout is None else layout.slots
-    prior, signal, bounds = None, None, None
-    if config.kind in AROUND:
-        signal = visibility.mean(axis=0, dtype=np.float64).astype(np.float32)
-        bounds = np.stack([visibility.min(axis=(0, 1)), visibility.max(axis=(0, 1))])
-        prior = fit_prior(dataset, poses, visibility, slots, config, watch)
-        subtract(prior, poses, visibility, watch)
-        watch.stage("components of what is left")
+    around = surrounded(dataset, poses, visibility, slots, config, watch)
     latents = 0.0 if config.kind == "constant" else config.latents / config.parts
     groups = layout.groups if layout else grouped(dataset, visibility, slots, config, latents)
     output = reduce_output(visibility, groups, config.output_variance, latents, config.step)
@@ -231,12 +225,25 @@ def prepared(
         basis=np.concatenate(output.basis),
         rest_tangents=dataset.rest_tangents,
         metadata=describe(dataset, config, features),
-        prior=prior,
-        signal=signal,
-        bounds=bounds,
+        **around,
     )
     data = with_products_and_smoothness(data, dataset, rows, config)
     return Fitting(config, body, Layout(slots, groups), data, values)
+
+
+def surrounded(
+    dataset: Dataset, poses: FloatArray, visibility: FloatArray, slots: IntArray,
+    config: TrainConfig, watch: Monitor,
+) -> dict[str, Any]:  # fmt: skip
+    """A prior and what the model keeps beside it; of ``visibility`` only what it leaves is left."""
+    if config.kind not in AROUND:
+        return {}
+    signal = visibility.mean(axis=0, dtype=np.float64).astype(np.float32)
+    bounds = np.stack([visibility.min(axis=(0, 1)), visibility.max(axis=(0, 1))])
+    prior = fit_prior(dataset, poses, visibility, slots, config, watch)
+    subtract(prior, poses, visibility, watch)
+    watch.stage("components of what is left")
+    return {"prior": prior, "signal": signal, "bounds": bounds}
 
 
 def grouped(
@@ -290,7 +297,7 @@ def cross_validation_folds(dataset: Dataset, rows: IntArray) -> list[Fold]:
     return folds_over_time(dataset.time[rows], direct)
 
 
-def to_device(inputs: FloatArray, targets: FloatArray, device: str) -> Prepared:
+def to_device(inputs: FloatArray, targets: FloatArray, device: str) -> Problem:
     """Tensors on the device, float32: the closed forms keep their accuracy (see the tests)."""
     try:
         where = torch.device(device)
@@ -298,12 +305,12 @@ def to_device(inputs: FloatArray, targets: FloatArray, device: str) -> Prepared:
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise PrtnetError("--device", f"'{device}' cannot be used ({reason}); use cpu") from error
-    return Prepared(x, t)
+    return Problem(x, t)
 
 
 def with_products_and_smoothness(
-    data: Prepared, dataset: Dataset, rows: IntArray, config: TrainConfig
-) -> Prepared:
+    data: Problem, dataset: Dataset, rows: IntArray, config: TrainConfig
+) -> Problem:
     """What quadratic models and the prior of smoothness add."""
     if config.kind == "quadratic":
         products = Products(data.inputs, config.leading)
@@ -317,7 +324,7 @@ def with_products_and_smoothness(
 
 
 def select(
-    data: Prepared, config: TrainConfig, folds: list[Fold], watch: Monitor
+    data: Problem, config: TrainConfig, folds: list[Fold], watch: Monitor
 ) -> tuple[int, float, dict[str, float]]:
     """Neurons and α as configured, or by cross-validation; the errors of all tried."""
     neural = config.kind in NEURAL
@@ -354,7 +361,7 @@ def select(
 
 
 def fit(
-    data: Prepared, config: TrainConfig, neurons: int, alpha: float, watch: Monitor
+    data: Problem, config: TrainConfig, neurons: int, alpha: float, watch: Monitor
 ) -> list[Fit]:
     """The final fits: one, or several networks from different starts."""
     if config.kind not in NEURAL or data.targets.shape[2] == 0:

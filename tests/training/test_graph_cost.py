@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.models import random_model
-from training.graph_cost import graph_cost
+from training.graph_cost import operations
 from training.onnx_export import build_onnx
 from training.onnx_graph import GraphBuilder
 
@@ -16,13 +16,11 @@ def test_a_small_graph_is_counted_by_hand():
     value = graph.node("Add", value, graph.constant(np.ones(4)))  # 4
     value = graph.node("Tanh", graph.reshape(value, [-1, 2, 2]))  # 4
     graph.node("Mul", graph.total(value, 2, keep=True), graph.constant(0.5), output="visibility")
-    cost = graph_cost(graph.model(3, "visibility", [2, 1], {}))
-    assert cost.operations == 24 + 4 + 4 + 4 + 2
-    assert cost.constant_bytes == 4 * (12 + 4 + 1 + 1)  # and the axis of the sum
+    assert operations(graph.model(3, "visibility", [2, 1], {})) == 24 + 4 + 4 + 4 + 2
 
 
 @pytest.mark.parametrize("storage", ["float32", "int8", "int4"])
 def test_storage_changes_nothing(storage):
     model = random_model(receivers=900, parts=2)
-    expected = graph_cost(build_onnx(model)).operations
-    assert graph_cost(build_onnx(model.stored_as(storage))).operations == expected
+    expected = operations(build_onnx(model))
+    assert operations(build_onnx(model.stored_as(storage))) == expected
