@@ -328,8 +328,13 @@ class VisibilityModel:
     def __call__(self, poses: FloatArray) -> FloatArray:
         """Visibility (P, V, n²) float32, local frames, of flattened poses (P, D)."""
         self.check_pose(poses)
-        value = self.decode(self.latent(poses)) + self.prior_part(poses)
-        return value if self.bounds is None else np.clip(value, self.bounds[0], self.bounds[1])
+        return self.bounded(self.decode(self.latent(poses)) + self.prior_part(poses))
+
+    def bounded(self, visibility: FloatArray) -> FloatArray:
+        """Visibility (P, V, n²) within the bounds there are."""
+        if self.bounds is None:
+            return visibility
+        return np.clip(visibility, self.bounds[0], self.bounds[1])
 
     def prior_part(self, poses: FloatArray) -> FloatArray:
         """What the prior gives (P, V, n²), or zeros that broadcast."""
@@ -346,7 +351,7 @@ class VisibilityModel:
     def closest(self, poses: FloatArray, visibility: FloatArray) -> FloatArray:
         """The best that the components could do for visibility (P, V, n²) of poses (P, D)."""
         known = self.prior_part(poses)
-        return self.decode(self.encode(visibility - known)) + known
+        return self.bounded(self.decode(self.encode(visibility - known)) + known)
 
     def training_range(self) -> dict[str, FloatArray]:
         """The arrays ``input_low`` and ``input_high`` by name; none where they are not known."""
