@@ -12,7 +12,7 @@ import time
 import numpy as np
 import torch
 from ablation import Thinned
-from tables import CLOTH, HUMAN, ROBOT, dataset, held_out_errors, per_cent, publish
+from tables import CLOTH, HUMAN, PAGE, ROBOT, dataset, held_out_errors, per_cent, publish
 
 from runtime.onnx_model import OnnxModel
 from training.budget import Budget
@@ -84,11 +84,23 @@ def rows_of(name: str) -> list[list[str]]:
     return rows
 
 
+def kept_of(name: str) -> list[list[str]]:
+    """A scene's rows as they stand in the page: it takes many minutes to make them anew."""
+    lines = PAGE.read_text(encoding="utf-8").splitlines()
+    own = [line for line in lines if line.startswith((f"| {name}, an error of", *limits(name)))]
+    return [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in own]
+
+
+def limits(name: str) -> tuple[str, ...]:
+    """How the rows of a scene's limits begin."""
+    return tuple(f"| {name}, {budget.text()} |" for budget in LIMITS.get(name, []))
+
+
 def main() -> None:
     """Ten targets for the error in all, and limits of bytes and milliseconds."""
     torch.set_num_threads(2)
     chosen = [name for name in SCENES if name in sys.argv] or list(SCENES)
-    rows = [row for name in chosen for row in rows_of(name)]
+    rows = [row for name in SCENES for row in (rows_of(name) if name in chosen else kept_of(name))]
     targets = [row for row in rows if "an error of" in row[0]]
     met = sum(row[3] == "yes" for row in targets)
     note = f"{met} of {len(targets)} targets for the error met on held-out clips."
