@@ -29,6 +29,7 @@ __all__ = [
     "Phong",
     "Schlick",
     "albedo",
+    "half_vector",
     "mirrored",
 ]
 
@@ -82,11 +83,21 @@ class Angles:
     x: FloatArray
     y: FloatArray
 
+    @property
+    def sine2(self) -> FloatArray:
+        """Squared sine of the half vector: exact where its cosine is all ones."""
+        return self.x**2 + self.y**2
+
+
+def half_vector(light: FloatArray, view: FloatArray) -> FloatArray:
+    """Unit vectors (…, 3) halfway between directions (…, 3) that broadcast."""
+    half = light + view
+    return half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), TINY)
+
 
 def angles(light: FloatArray, view: FloatArray) -> Angles:
     """Of directions (…, 3) that broadcast."""
-    half = light + view
-    half = half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), TINY)
+    half = half_vector(light, view)
     between = np.clip((half * view).sum(axis=-1), TINY, 1.0)
     light_cosine, view_cosine = (
         np.broadcast_to(np.maximum(d[..., 2], TINY), between.shape) for d in (light, view)
@@ -104,6 +115,11 @@ def fresnel(facing: Colour | float, cosine: FloatArray) -> FloatArray:
     """(…, 3) Schlick's approximation: reflectance of a mirror seen at an angle."""
     start = colour(facing)
     return start + (1.0 - start) * ((1.0 - cosine) ** 5)[..., None]
+
+
+def layered(diffuse: Colour | float, coat: FloatArray) -> FloatArray:
+    """(…, 3) a diffuse base and what a coat (…, 3) adds to it."""
+    return colour(diffuse) / math.pi + coat
 
 
 def mirrored(direction: FloatArray) -> FloatArray:
@@ -137,7 +153,7 @@ class Phong(BRDF):
         """kd/π + ks (n + 2)/2π cosⁿ; kd + ks at most 1 keeps energy."""
         along = np.clip((mirrored(light) * view).sum(axis=-1), 0.0, 1.0)
         lobe = (self.exponent + 2.0) / (2.0 * math.pi) * along**self.exponent
-        return colour(self.diffuse) / math.pi + colour(self.specular) * lobe[..., None]
+        return layered(self.diffuse, colour(self.specular) * lobe[..., None])
 
 
 @dataclass(frozen=True)
@@ -154,56 +170,61 @@ class BlinnPhong(BRDF):
         n = self.exponent
         scale = (n + 2.0) * (n + 4.0) / (8.0 * math.pi * (2.0 ** (-n / 2.0) + n))
         lobe = scale * angles(light, view).half ** n
-        return colour(self.diffuse) / math.pi + colour(self.specular) * lobe[..., None]
+        return layered(self.diffuse, colour(self.specular) * lobe[..., None])
 
 
 @dataclass(frozen=True)
-class CookTorrance(BRDF):
-    """Cook and Torrance 1982: Beckmann facets of a slope, V-shaped grooves, Fresnel."""
+class Facets(BRDF):
+    """Mirrors at random, each with its Fresnel reflectance, over a diffuse base."""
 
-    name: ClassVar[str] = "cook-torrance"
     diffuse: Colour | float = 0.0
     specular: Colour | float = 1.0
     roughness: float = 0.4
     fresnel: Colour | float = 0.5
 
     def above(self, light: FloatArray, view: FloatArray) -> FloatArray:
-        """kd/π + ks F D G / (4 cos cos)."""
+        """kd/π + ks F · lobe."""
         a = angles(light, view)
-        slope2 = max(self.roughness, SMOOTHEST) ** 2
-        half2 = a.half**2
-        facets = np.exp((half2 - 1.0) / (half2 * slope2)) / (math.pi * slope2 * half2**2)
-        groove = 2.0 * a.half / a.between
-        shadow = np.minimum(1.0, groove * np.minimum(a.light, a.view))
-        lobe = facets * shadow / (4.0 * a.light * a.view)
-        own = colour(self.specular) * fresnel(self.fresnel, a.between) * lobe[..., None]
-        return colour(self.diffuse) / math.pi + own
+        lobe = self.lobe(a, max(self.roughness, SMOOTHEST) ** 2)
+        coat = colour(self.specular) * fresnel(self.fresnel, a.between) * lobe[..., None]
+        return layered(self.diffuse, coat)
+
+    @abstractmethod
+    def lobe(self, a: Angles, roughness2: float) -> FloatArray:
+        """(…) D G / (4 cos cos) of facets, for their roughness squared."""
 
 
 @dataclass(frozen=True)
-class GGX(BRDF):
+class CookTorrance(Facets):
+    """Cook and Torrance 1982: Beckmann facets of a slope, V-shaped grooves, Fresnel."""
+
+    name: ClassVar[str] = "cook-torrance"
+
+    def lobe(self, a: Angles, roughness2: float) -> FloatArray:
+        """See :class:`Facets`."""
+        half2 = a.half**2
+        facets = np.exp((half2 - 1.0) / (half2 * roughness2)) / (math.pi * roughness2 * half2**2)
+        groove = 2.0 * a.half / a.between
+        shadow = np.minimum(1.0, groove * np.minimum(a.light, a.view))
+        return facets * shadow / (4.0 * a.light * a.view)
+
+
+@dataclass(frozen=True)
+class GGX(Facets):
     """Walter et al. 2007, with height-correlated Smith shadowing (Heitz 2014)."""
 
     name: ClassVar[str] = "ggx"
-    diffuse: Colour | float = 0.0
-    specular: Colour | float = 1.0
     roughness: float = 0.3
-    fresnel: Colour | float = 0.5
 
-    def above(self, light: FloatArray, view: FloatArray) -> FloatArray:
-        """kd/π + ks F D G₂ / (4 cos cos)."""
-        a = angles(light, view)
-        alpha2 = max(self.roughness, SMOOTHEST) ** 2
-        # 1 + n·h² (α² − 1), of the sine: near the mirror direction the cosine is all ones.
-        sine2 = a.x**2 + a.y**2
-        facets = alpha2 / (math.pi * (sine2 + alpha2 * a.half**2) ** 2)
+    def lobe(self, a: Angles, roughness2: float) -> FloatArray:
+        """See :class:`Facets`."""
+        # 1 + n·h² (α² − 1), of the sine.
+        facets = roughness2 / (math.pi * (a.sine2 + roughness2 * a.half**2) ** 2)
         paths = [
-            one * np.sqrt(alpha2 + (1.0 - alpha2) * other**2)
+            one * np.sqrt(roughness2 + (1.0 - roughness2) * other**2)
             for one, other in ((a.light, a.view), (a.view, a.light))
         ]
-        lobe = facets * 0.5 / (paths[0] + paths[1])
-        own = colour(self.specular) * fresnel(self.fresnel, a.between) * lobe[..., None]
-        return colour(self.diffuse) / math.pi + own
+        return facets * 0.5 / (paths[0] + paths[1])
 
 
 @dataclass(frozen=True)
@@ -226,7 +247,7 @@ class Schlick(BRDF):
         """S(u) (G G′ Z A / 4π v v′ + (1 − G G′)/π)."""
         a = angles(light, view)
         r, p = max(self.roughness, SMOOTHEST), max(self.isotropy, SMOOTHEST)
-        sine2 = a.x**2 + a.y**2
+        sine2 = a.sine2
         zenith = r / (sine2 + r * a.half**2) ** 2
         w2 = np.where(sine2 > TINY, a.x**2 / np.maximum(sine2, TINY), 0.5)
         azimuth = np.sqrt(p / (p * p * (1.0 - w2) + w2))
@@ -249,8 +270,7 @@ class AshikhminShirley(BRDF):
     def above(self, light: FloatArray, view: FloatArray) -> FloatArray:
         """Their eqs. 4 and 5; exponents ``along`` the tangent and ``across`` it."""
         a = angles(light, view)
-        sine2 = a.x**2 + a.y**2
-        exponent = (self.along * a.x**2 + self.across * a.y**2) / np.maximum(sine2, TINY)
+        exponent = (self.along * a.x**2 + self.across * a.y**2) / np.maximum(a.sine2, TINY)
         scale = math.sqrt((self.along + 1.0) * (self.across + 1.0)) / (8.0 * math.pi)
         lobe = scale * a.half**exponent / (a.between * np.maximum(a.light, a.view))
         coat = fresnel(self.specular, a.between) * lobe[..., None]

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.brdf import BRDF
+from prtnet.brdf import BRDF, half_vector
 from prtnet.errors import PrtnetError
 
 __all__ = ["SHAPE", "Measured", "bins", "read_merl"]
@@ -41,8 +41,7 @@ class Measured(BRDF):
 def bins(light: FloatArray, view: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
     """Indices (…) of directions (…, 3) that broadcast (Rusinkiewicz 1998)."""
     light, view = np.broadcast_arrays(light, view)
-    half = light + view
-    half = half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
+    half = half_vector(light, view)
     theta_half = np.arccos(np.clip(half[..., 2], -1.0, 1.0))
     phi_half = np.arctan2(half[..., 1], half[..., 0])
     # The light in the half vector's frame: turned by −φ_h about z, then by −θ_h about y.

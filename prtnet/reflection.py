@@ -14,10 +14,9 @@ from prtnet import sh
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 from prtnet.factors import Factors
+from prtnet.storage import HALF_LIMIT
 
 __all__ = ["ReflectionOperator", "reflection_operator"]
-
-HALF_LIMIT = 65504.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ import numpy as np
 from prtnet.arrays import FloatArray
 
 __all__ = [
+    "HALF_LIMIT",
     "MOST",
     "STORAGES",
     "Packing",
@@ -31,6 +32,7 @@ Storage = Literal["float32", "float16", "int8", "int4"]
 STORAGES: tuple[Storage, ...] = get_args(Storage)
 INTEGERS = (np.uint8, np.int16, np.int32)  # that indices are stored in
 MOST = 127  # 8-bit values lie in [−MOST, MOST], as the signed normalised texels of a GPU
+HALF_LIMIT = 65504.0  # the largest half
 MANTISSA = 2**11  # scales are multiples of a power of two by at most this
 
 

@@ -14,13 +14,12 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.storage import Stored
+from prtnet.storage import HALF_LIMIT, Stored
 
 __all__ = ["OPSET", "PORTABLE", "GraphBuilder"]
 
 OPSET = 15
 WORTH = 1024  # numbers: smaller constants are not worth a node
-HALF_LIMIT = 65504.0  # the largest half
 PORTABLE = frozenset(
     (
         *("Add", "Cast", "Clip", "Concat", "Div", "Gather", "MatMul", "Mul", "ReduceSum"),
