@@ -160,6 +160,11 @@ class VisibilityModel:
         return is_seen(clip, self.training_clips, self.metadata.get("held_out", ()))
 
     @property
+    def first_component(self) -> IntArray:
+        """Where each group's components begin in ``basis``, (G,)."""
+        return np.cumsum(self.latents) - self.latents
+
+    @property
     def slot_of_receiver(self) -> IntArray:
         """Where each receiver sits in the flattened (C · R) slots, (V,)."""
         flat = self.receivers.ravel()
@@ -304,11 +309,11 @@ class VisibilityModel:
         """Visibility (P, V, n²) float32 of latents (P, C, L)."""
         clusters, width = self.mean.shape
         slots = np.empty((len(latent), clusters, width), dtype=np.float32)
-        start = 0
-        for cluster, count in enumerate(self.latents):
+        for cluster, (start, count) in enumerate(
+            zip(self.first_component, self.latents, strict=True)
+        ):
             basis = self.basis[start : start + count]
             slots[:, cluster] = self.mean[cluster] + latent[:, cluster, :count] @ basis
-            start += count
         return slots.reshape(len(latent), -1, self.order**2)[:, self.slot_of_receiver]
 
     def encode(self, visibility: FloatArray) -> FloatArray:
@@ -316,13 +321,13 @@ class VisibilityModel:
         clusters = len(self.receivers)
         empty = (self.receivers < 0)[..., None]
         latent = np.zeros((len(visibility), clusters, int(self.latents.max(initial=0))))
-        start = 0
-        for cluster, count in enumerate(self.latents):
+        for cluster, (start, count) in enumerate(
+            zip(self.first_component, self.latents, strict=True)
+        ):
             own = visibility[:, np.maximum(self.receivers[cluster], 0)]
             own = np.where(empty[cluster], 0.0, own).reshape(len(visibility), -1)
             basis = self.basis[start : start + count]
             latent[:, cluster, :count] = (own - self.mean[cluster]) @ basis.T
-            start += count
         return latent
 
     def __call__(self, poses: FloatArray) -> FloatArray:

@@ -101,7 +101,7 @@ def gpu_tables(model: VisibilityModel) -> GPUTables:
     Raises:
         PrtnetError: the model has more latents than a receiver's entry can count.
     """
-    starts = np.cumsum(model.latents) - model.latents
+    starts = model.first_component
     if model.latents.max() >= 2**COUNT_BITS or model.latents.sum() >= 2 ** (32 - COUNT_BITS):
         raise PrtnetError("model", "has too many latents for a shader; train it with fewer")
     mean = model.stored("mean")

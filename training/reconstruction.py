@@ -132,8 +132,7 @@ def row_nodes(
         count: their number.
         coded: all components as a value, and their rows in it, where they are coded.
     """
-    starts = np.cumsum(model.latents) - model.latents
-    rows = starts[groups, None] + np.arange(count)  # [G', count]
+    rows = model.first_component[groups, None] + np.arange(count)  # [G', count]
     mean = model.stored("mean")
     means = Stored(mean.values[groups][:, None], mean.scale[None], mean.offset)
     if count == 0:

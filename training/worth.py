@@ -80,7 +80,7 @@ def unseen(
     body = models[0]
     order, slots, groups = body.order, body.receivers.shape[1], len(body.latents)
     most = int(body.latents.max(initial=0))
-    starts = np.cumsum(body.latents) - body.latents
+    starts = body.first_component
     left = np.zeros((len(models), groups, most + 1, order))
     latent = np.zeros((len(models), groups, most))
     energy = 0.0
@@ -275,7 +275,7 @@ def allocated(models: Sequence[VisibilityModel], found: Allocation) -> Visibilit
         found: what to keep of them.
     """
     body, parts = models[0], len(found.counts) // len(found.neurons)
-    starts = np.cumsum(body.latents) - body.latents
+    starts = body.first_component
     rows = [start + np.arange(count) for start, count in zip(starts, found.counts, strict=True)]
     basis = body.basis[np.concatenate(rows).astype(np.int64)]
     kept = np.arange(found.bits.shape[1]) < found.counts[:, None]

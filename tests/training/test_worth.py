@@ -81,7 +81,7 @@ def test_what_is_left_is_what_models_of_any_size_leave(kind):
 def short(body, counts, orders):
     """Components of an allocation, not rounded."""
     rows = []
-    for start, count, order in zip(np.cumsum(body.latents) - body.latents, counts, orders,
+    for start, count, order in zip(body.first_component, counts, orders,
                                    strict=True):  # fmt: skip
         shape = (count, body.receivers.shape[1], body.order**2)
         own = body.basis[start : start + count].reshape(shape).copy()
