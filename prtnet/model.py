@@ -287,8 +287,11 @@ class VisibilityModel:
 
     def latent(self, poses: FloatArray) -> FloatArray:
         """Latents (P, C, L) of flattened poses (P, D); those a cluster does not use are zero."""
+        return self.latent_of(self.reduced(poses))
+
+    def latent_of(self, inputs: FloatArray) -> FloatArray:
+        """The same of reduced inputs (P, C, K)."""
         used = np.arange(self.regressor.weight.shape[-1]) < self.latents[:, None]
-        inputs = self.reduced(poses)
         if self.input_low is None or self.input_high is None:
             return np.where(used, self.regressor(inputs), 0.0)
         known = np.clip(inputs, self.input_low, self.input_high)

@@ -87,7 +87,8 @@ def unseen(
     for poses, truth in blocks:
         energy += float(np.sum(np.square(truth), dtype=np.float64))
         rest = truth - body.prior_part(poses)
-        values = np.stack([model.latent(poses)[..., :most] for model in models])  # [A, B, G, L]
+        inputs = body.reduced(poses)  # they see the same
+        values = np.stack([model.latent_of(inputs)[..., :most] for model in models])  # [A, B, G, L]
         latent += np.square(values).sum(axis=1)
         for group, count in enumerate(body.latents):
             own = body.receivers[group]
