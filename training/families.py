@@ -22,8 +22,9 @@ from prtnet.dataset import Dataset, evenly
 from prtnet.model import VisibilityModel
 from training.config import TrainConfig
 from training.monitor import Monitor, Silent
+from training.outputs import AROUND, Outputs, reduced_outputs
 from training.selection import Fold
-from training.train import AROUND, Fitting, prepared, select, with_training_range
+from training.train import NEURAL, Fitting, prepared, select, with_training_range
 from training.worth import (
     Allocation,
     Prices,
@@ -34,7 +35,7 @@ from training.worth import (
     unseen,
 )
 
-__all__ = ["FAMILIES", "Candidate", "judged", "rich_config"]
+__all__ = ["FAMILIES", "Candidate", "Parts", "judged", "rich_config"]
 
 FAMILIES: dict[str, dict[str, Any]] = {
     "linear": {"kind": "linear"},
@@ -46,7 +47,11 @@ FAMILIES: dict[str, dict[str, Any]] = {
     "hybrid": {"kind": "hybrid"},
     "shared": {"kind": "shared"},
 }  # fmt: skip
-"""Kinds of models, the quick ones first: what each overrides in the configuration."""
+"""Kinds of models, the quick ones first: what each overrides in the configuration.
+
+Quadratic ones are not among them: at every size another kind errs less (robot: as linear ones,
+for more bytes).
+"""
 RICH = 24  # components a group, on average, before the search drops what is not worth it
 RICH_AROUND = 16  # beside a prior, where less is left
 PARTS = 8  # groups a cluster: each keeps what it is worth
@@ -58,6 +63,11 @@ FOLD_ITERATIONS = 80  # of a fold's fits: they are compared, they need not conve
 FOLDS_AROUND = 2  # priors take minutes to fit
 ROUNDED = 8  # poses that tell what storing costs
 BLOCK = 8
+OF_OUTPUTS = (
+    "clusters", "clustering", "seed", "parts", "latents", "output_variance", "step", "frame",
+    "target",
+)  # fmt: skip
+"""Options that say what there is to predict of poses, without a prior."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +81,7 @@ class Candidate:
         known: what their parts leave of the error on each part of a clip left out.
         prices: of those parts.
         sizes: the best model of each size, the smallest first.
-        rounding: relative squared error of storing everything in 8 bits; that of components counts
-            twice, by a hair.
+        rounding: relative squared error of storing all but the components in 8 bits.
     """
 
     family: str
@@ -108,48 +117,69 @@ def rich_config(dataset: Dataset, base: TrainConfig, options: dict[str, Any]) ->
     return dataclasses.replace(base, **{**settled, **options})
 
 
-def judged(
-    dataset: Dataset,
-    rows: IntArray,
-    folds: list[Fold],
-    family: str,
-    config: TrainConfig,
-    watch: Monitor,
-) -> Candidate:
+class Parts:
+    """Training poses, all of them and without each fold.
+
+    What there is to predict of them is reduced once for all kinds without a prior.
+
+    Args:
+        dataset: of the poses.
+        rows: the training poses, (P,).
+        folds: of those.
+    """
+
+    def __init__(self, dataset: Dataset, rows: IntArray, folds: list[Fold]) -> None:
+        self.dataset, self.rows, self.folds = dataset, rows, folds
+        self.known: dict[tuple[Any, ...], Outputs] = {}
+
+    def left(self, fold: Fold | None) -> IntArray:
+        """The poses without a fold, or all."""
+        return self.rows if fold is None else self.rows[fold.train]
+
+    def fitting(self, config: TrainConfig, fold: Fold | None, whole: Outputs | None) -> Fitting:
+        """A kind's models but for their regressors, of what a fold leaves, grouped as the whole."""
+        key = (fold, *(getattr(config, name) for name in OF_OUTPUTS))
+        outputs = None if config.kind in AROUND else self.known.get(key)
+        if outputs is None:
+            layout = None if whole is None else whole.layout
+            rows = self.left(fold)
+            outputs = reduced_outputs(self.dataset, rows, config, Silent(), layout)
+            if config.kind not in AROUND:
+                self.known[key] = outputs
+        return prepared(self.dataset, self.left(fold), config, Silent(), outputs)
+
+
+def judged(parts: Parts, family: str, config: TrainConfig, watch: Monitor) -> Candidate:
     """One kind of model, fitted to everything and to each fold."""
     watch.stage(f"{family}: all training clips")
-    whole = prepared(dataset, rows, config, Silent())
-    neurons, alpha, trials = select(whole.data, config, folds, Silent())
+    dataset, rows = parts.dataset, parts.rows
+    whole = parts.fitting(config, None, None)
+    neurons, alpha, trials = select(whole.data, config, parts.folds, Silent())
     numbers = sorted({max(1, round(part * neurons)) for part in NEURON_PARTS})
-    if config.kind == "linear":
+    if config.kind not in NEURAL:
         numbers = [neurons]
     models = ranged(whole, numbers, alpha)
-    given = config.alpha is not None
     hasty = dataclasses.replace(config, iterations=min(config.iterations, FOLD_ITERATIONS))
-    parts = []
-    used = folds[:FOLDS_AROUND] if config.kind in AROUND else folds
+    sets = []
+    used = parts.folds[:FOLDS_AROUND] if config.kind in AROUND else parts.folds
     for turn, fold in enumerate(used, start=1):
         watch.stage(f"{family}: fold {turn} of {len(used)}")
-        part = prepared(dataset, rows[fold.train], hasty, Silent(), whole.layout)
+        part = parts.fitting(hasty, fold, whole.outputs)
         # As strong against fewer poses as against all: see ``selection.refined``.
-        share = 1.0 if given else float(fold.train.mean())
-        rivals = ranged(part, numbers, alpha / share)
+        rivals = ranged(part, numbers, alpha / float(fold.train.mean()))
         left_out = rows[fold.validate]
         clip = dataset.clip[left_out]
-        parts += [
+        sets += [
             unseen(rivals, some_poses(dataset, left_out[clip == own])) for own in np.unique(clip)
         ]
     for model in models:
         model.metadata["cross_validation"] = trials
     body = models[0]
-    known = Unseen.joined(parts, int(body.latents.max(initial=0)))
+    known = Unseen.joined(sets, int(body.latents.max(initial=0)))
     prices = priced(models)
     sizes = allocations(known, prices, body.latents, base_step(config))
-    poses = dataset.read("pose", rows[:: max(1, len(rows) // ROUNDED)][:ROUNDED])
-    answer = models[-1](poses)
-    eighth = np.mean((models[-1].stored_as("int8")(poses) - answer) ** 2)
-    energy = float(np.mean(answer**2))
-    rounding = float(eighth) / energy if energy > 0.0 else 0.0  # always dark: nothing to be off
+    poses = dataset.read("pose", evenly(rows, ROUNDED))
+    rounding = rounded_off(models[-1], poses)
     candidate = Candidate(family, models, known, prices, sizes, rounding)
     for number, error in enumerate(candidate.errors):
         watch.scalar(f"search/{family}", float(error), number)
@@ -160,6 +190,16 @@ def ranged(fitting: Fitting, numbers: list[int], alpha: float) -> list[Visibilit
     """Models of each number of neurons, that clamp to the training range."""
     models = (fitting.model(number, alpha, Silent()) for number in numbers)
     return [with_training_range(model, fitting.features) for model in models]
+
+
+def rounded_off(model: VisibilityModel, poses: FloatArray) -> float:
+    """Relative squared error of storing all but the components in 8 bits, on poses (P, D)."""
+    answer = model(poses)
+    energy = float(np.mean(answer**2))
+    if energy == 0.0:  # always dark: nothing to be off
+        return 0.0
+    stored = dataclasses.replace(model.stored_as("int8"), basis=model.basis)
+    return float(np.mean((stored(poses) - answer) ** 2)) / energy
 
 
 def priced(models: list[VisibilityModel]) -> Prices:

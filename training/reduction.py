@@ -23,7 +23,7 @@ class OutputReduction:
         mean: (C, R · n²) float32; zero in empty slots.
         basis: for each cluster its components, (latents[c], R · n²) float32.
         latents: components kept, (C,).
-        targets: the training poses' latents, (C, P, L) float64; zero beyond a cluster's latents.
+        targets: the training poses' latents, (C, P, L) float32; zero beyond a cluster's latents.
     """
 
     mean: FloatArray
@@ -96,7 +96,7 @@ def reduce_output(
         values[cluster, : len(gram)] = np.where(eigenvalues > noise, eigenvalues, 0.0)[::-1]
         values[cluster, poses - 1 :] = 0.0  # deviations from a mean have one rank less
     latents = choose_counts(values, variance, average, step)
-    targets = np.zeros((len(slots), poses, int(latents.max(initial=0))))
+    targets = np.zeros((len(slots), poses, int(latents.max(initial=0))), dtype=np.float32)
     basis = []
     for cluster, count in enumerate(latents):
         block, gram = deviations(cluster)

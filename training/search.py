@@ -23,12 +23,12 @@ from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
 from training.budget import Budget
 from training.config import TrainConfig
-from training.families import FAMILIES, Candidate, judged, rich_config
+from training.families import FAMILIES, Candidate, Parts, judged, rich_config
 from training.monitor import Monitor, Silent
 from training.onnx_export import build_onnx
+from training.outputs import AROUND
 from training.selection import folds_over_moments
 from training.train import (
-    AROUND,
     fit_model,
     report_errors,
     training_rows,
@@ -95,16 +95,17 @@ class Candidates:
     def __init__(self, dataset: Dataset, base: TrainConfig, monitor: Monitor | None = None) -> None:
         self.dataset, self.base, self.watch = dataset, base, monitor or Silent()
         self.rows = training_rows(dataset)
-        self.folds = folds_over_moments(
+        folds = folds_over_moments(
             dataset.clip[self.rows],
             dataset.read("time", self.rows),
             sampled_clip(dataset.clip_names),
         )
-        if len(self.folds) < 2:
+        if len(folds) < 2:
             raise PrtnetError(
                 dataset.path, "has too few training poses to judge models by; generate more, or "
                 "train without --max-error, --max-ms and --max-mb"
             )  # fmt: skip
+        self.parts = Parts(dataset, self.rows, folds)
         self.fitted: dict[str, Candidate] = {}
         self.alphas: dict[str, float] = {}
 
@@ -114,9 +115,7 @@ class Candidates:
             config = rich_config(self.dataset, self.base, FAMILIES[family])
             if config.alpha is None:  # chosen once for each kind
                 config = dataclasses.replace(config, alpha=self.alphas.get(config.kind))
-            self.fitted[family] = judged(
-                self.dataset, self.rows, self.folds, family, config, self.watch
-            )
+            self.fitted[family] = judged(self.parts, family, config, self.watch)
             self.alphas[config.kind] = self.fitted[family].models[0].metadata["alpha"]
         return self.fitted[family]
 

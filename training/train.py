@@ -19,14 +19,12 @@ from prtnet.features import Features
 from prtnet.metrics import ErrorSum
 from prtnet.model import FORMAT_VERSION, Regressor, VisibilityModel
 from prtnet.output_space import OutputSpace
-from training.clustering import cluster_receivers
-from training.clusters import cluster_coordinates, subdivide
 from training.config import TrainConfig
 from training.inputs import fit_joint_angles, fit_local_joints, fit_occluders, interior_edges
 from training.monitor import Monitor, Silent
-from training.prior_fit import fit_prior, subtract
+from training.outputs import AROUND, Outputs, reduced_outputs
 from training.quadratic import Products
-from training.reduction import input_reduction, reduce_output
+from training.reduction import input_reduction
 from training.regression import Fit, average, fit_linear, fit_neural, total_iterations
 from training.selection import (
     ALPHAS,
@@ -36,13 +34,11 @@ from training.selection import (
     folds_over_clips,
     folds_over_time,
 )
-from training.signal_groups import regroup
 from training.smoothness import change_covariance, consecutive
 
 __all__ = [
-    "AROUND",
+    "NEURAL",
     "Fitting",
-    "Layout",
     "cross_validation_folds",
     "fit_model",
     "prepared",
@@ -55,7 +51,6 @@ __all__ = [
 
 DEFAULT_ALPHA = 3e-3  # where there is too little to cross-validate with
 DEFAULT_NEURONS = 16  # likewise, where the number is to be chosen
-AROUND = ("hybrid", "shared")  # kinds with a prior at every receiver
 NEURAL = ("neural", *AROUND)  # kinds whose clusters have a tanh layer
 JUDGED = 400  # training poses that the training error is of, at most
 TRIAL_ITERATIONS = 60  # cross-validation compares, it need not converge
@@ -76,19 +71,6 @@ class Problem:
     targets: Tensor
     products: Products | None = None
     smoothness: Tensor | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Layout:
-    """Which receivers a model predicts together.
-
-    Attributes:
-        slots: receivers of each cluster, (C, R), −1 for empty.
-        groups: of each group of a cluster, (C · parts, R'), likewise.
-    """
-
-    slots: IntArray
-    groups: IntArray
 
 
 def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None) -> VisibilityModel:
@@ -124,14 +106,14 @@ class Fitting:
     Attributes:
         config: how.
         body: the model, of a regressor without neurons that gives no latents.
-        layout: receivers taken together.
+        outputs: what there is to predict.
         data: to fit a regressor to.
         features: of the training poses, (P, 1 or C, F).
     """
 
     config: TrainConfig
     body: VisibilityModel
-    layout: Layout
+    outputs: Outputs
     data: Problem
     features: FloatArray
 
@@ -175,7 +157,7 @@ def prepared(
     rows: IntArray,
     config: TrainConfig,
     watch: Monitor,
-    layout: Layout | None = None,
+    outputs: Outputs | None = None,
 ) -> Fitting:
     """All of a model of some poses but its regressor.
 
@@ -184,75 +166,39 @@ def prepared(
         rows: what to fit, (P,).
         config: how.
         watch: is told how it goes.
-        layout: receivers taken together, where that is settled already.
+        outputs: what there is to predict of these poses, where that is known already.
 
     Raises:
         PrtnetError: as :func:`train`.
     """
-    space = OutputSpace(config.frame, config.target)
-    visibility, poses = space.read(dataset, rows), dataset.read("pose", rows)
-    if not (np.isfinite(visibility).all() and np.isfinite(poses).all()):
-        raise PrtnetError(dataset.path, "holds values that are not finite; generate it again")
-
-    watch.stage("clusters and components")
-    slots = cluster_receivers(dataset, rows, visibility, config) if layout is None else layout.slots
-    around = surrounded(dataset, poses, visibility, slots, config, watch)
-    latents = 0.0 if config.kind == "constant" else config.latents / config.parts
-    groups = layout.groups if layout else grouped(dataset, visibility, slots, config, latents)
-    output = reduce_output(visibility, groups, config.output_variance, latents, config.step)
-    del visibility
-
+    outputs = outputs or reduced_outputs(dataset, rows, config, watch)
+    slots, output = outputs.layout.slots, outputs.reduction
     watch.stage("features")
+    poses = dataset.read("pose", rows)
     features = fit_features(dataset, poses, slots, config)
     values = features(poses)
     mean, basis = input_reduction(values, config.input_variance, config.inputs)
     inputs = (np.swapaxes(values, 0, 1) - mean[:, None]) @ basis
     inputs = np.broadcast_to(inputs, (len(slots), *inputs.shape[1:]))
     data = to_device(inputs, side_by_side(output.targets, config.parts), config.device)
+    none = np.zeros((len(output.latents), 0, output.targets.shape[2]), dtype=np.float32)
     body = VisibilityModel(
         kind=config.kind,
         order=dataset.order,
         features=features,
         input_mean=mean,
         input_basis=basis,
-        regressor=Regressor(
-            np.zeros((len(groups), 0, output.targets.shape[2]), dtype=np.float32),
-            np.zeros((len(groups), output.targets.shape[2]), dtype=np.float32),
-        ),
+        regressor=Regressor(none, none.sum(axis=1)),
         latents=output.latents.astype(np.int32),
-        receivers=groups,
+        receivers=outputs.layout.groups,
         mean=output.mean,
         basis=np.concatenate(output.basis),
         rest_tangents=dataset.rest_tangents,
         metadata=describe(dataset, config, features),
-        **around,
+        **outputs.around,
     )
     data = with_products_and_smoothness(data, dataset, rows, config)
-    return Fitting(config, body, Layout(slots, groups), data, values)
-
-
-def surrounded(
-    dataset: Dataset, poses: FloatArray, visibility: FloatArray, slots: IntArray,
-    config: TrainConfig, watch: Monitor,
-) -> dict[str, Any]:  # fmt: skip
-    """A prior and what the model keeps beside it; of ``visibility`` only what it leaves is left."""
-    if config.kind not in AROUND:
-        return {}
-    signal = visibility.mean(axis=0, dtype=np.float64).astype(np.float32)
-    bounds = np.stack([visibility.min(axis=(0, 1)), visibility.max(axis=(0, 1))])
-    prior = fit_prior(dataset, poses, visibility, slots, config, watch)
-    subtract(prior, poses, visibility, watch)
-    watch.stage("components of what is left")
-    return {"prior": prior, "signal": signal, "bounds": bounds}
-
-
-def grouped(
-    dataset: Dataset, visibility: FloatArray, slots: IntArray, config: TrainConfig, latents: float
-) -> IntArray:
-    """The groups of each cluster, (C · parts, R), for visibility (P, V, n²) that is to be kept."""
-    coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
-    groups = subdivide(slots, coordinates, config.parts, config.seed)
-    return regroup(visibility, groups, config.parts, round(min(latents, len(visibility))))
+    return Fitting(config, body, outputs, data, values)
 
 
 def with_training_range(model: VisibilityModel, features: FloatArray) -> VisibilityModel:

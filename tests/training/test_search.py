@@ -147,6 +147,50 @@ def test_folds_have_as_many_neurons_as_the_model(monkeypatch):
     assert {alpha for _, alpha in seen[:2]} == {min(alphas)}
 
 
+def test_what_there_is_to_predict_is_reduced_once_for_kinds_without_a_prior(monkeypatch):
+    reduced, fitted = [], []
+    reduced_outputs = families.reduced_outputs
+
+    def spy(dataset, rows, config, watch, layout):
+        reduced.append((config.kind, len(rows), layout is None))
+        return reduced_outputs(dataset, rows, config, watch, layout)
+
+    candidates = module.Candidates(scene(), SMALL)
+    monkeypatch.setattr(families, "reduced_outputs", spy)
+    for family in ("linear", "neural, small", "neural"):
+        fitted.append(candidates[family])
+    assert [kind for kind, *_ in reduced] == ["linear"] * 5  # the whole and four folds
+    assert [first for *_, first in reduced] == [True] + [False] * 4
+    alone = module.Candidates(scene(), SMALL)["neural"]
+    assert np.array_equal(alone.models[0].basis, fitted[2].models[0].basis)
+
+
+def test_a_folds_weight_decay_is_as_strong_whoever_chose_it(monkeypatch):
+    seen = []
+    model = Fitting.model
+
+    def spy(self, neurons, alpha, watch):
+        seen.append(alpha)
+        return model(self, neurons, alpha, watch)
+
+    monkeypatch.setattr(Fitting, "model", spy)
+    given = dataclasses.replace(SMALL, alpha=0.01)
+    candidates = module.Candidates(scene(), given)
+    candidates["linear"]
+    shares = [float(fold.train.mean()) for fold in candidates.parts.folds]
+    assert seen == pytest.approx([0.01, *(0.01 / share for share in shares)])
+
+
+def test_rounding_of_components_is_not_counted_twice():
+    candidate = module.Candidates(scene(), SMALL)["neural"]
+    model = candidate.models[-1]
+    poses = scene().read("pose", slice(8))
+    whole = np.mean((model.stored_as("int8")(poses) - model(poses)) ** 2) / np.mean(
+        model(poses) ** 2
+    )
+    assert 0.0 < families.rounded_off(model, poses) < whole
+
+
 def test_the_model_found_is_whole(tmp_path):
     data = scene()
     model = found(data, max_error=0.2)
