@@ -22,7 +22,15 @@ from prtnet.sh import evaluate, evaluate_reference, fibonacci_sphere, order_of
 if TYPE_CHECKING:
     from prtnet.arrays import FloatArray
 
-__all__ = ["rotate", "rotate_zxzxz", "rotation_matrix", "zxzxz_multiplications"]
+__all__ = [
+    "band_inverses",
+    "checked_rotation",
+    "rotate",
+    "rotate_zxzxz",
+    "rotation_matrix",
+    "sample_directions",
+    "zxzxz_multiplications",
+]
 
 # float32 frames that have been through a few products stay well inside.
 ORTHOGONALITY_TOLERANCE = 1e-3
@@ -44,12 +52,12 @@ def rotation_matrix(rotation: Array, order: int) -> Array:
     Raises:
         ValueError: a matrix is not orthogonal, or is a reflection (determinant −1).
     """
-    turn: Any = _checked(rotation)
+    turn: Any = checked_rotation(rotation)
     rotated = _rotated_samples(turn, order)  # [..., K, n²]
     xp = library(turn)
     shape = (*turn.shape[:-2], order * order, order * order)
     result = xp.zeros(shape, dtype=turn.dtype, device=turn.device)
-    for band, inverse in enumerate(_band_inverses(order)):
+    for band, inverse in enumerate(band_inverses(order)):
         part = slice(band * band, (band + 1) * (band + 1))
         # Y(R d) = Y(d) Mᵀ
         solved = constant_like(inverse, turn) @ rotated[..., part]
@@ -64,11 +72,11 @@ def rotate(coefficients: Array, rotation: Array) -> Array:
         coefficients: f, (..., n²).
         rotation: R, (..., 3, 3); its leading axes broadcast with those of ``coefficients``.
     """
-    vector, turn = as_floating(coefficients), _checked(rotation)
+    vector, turn = as_floating(coefficients), checked_rotation(rotation)
     order = order_of(vector)
     rotated = _rotated_samples(turn, order)
     parts = []
-    for band, inverse in enumerate(_band_inverses(order)):
+    for band, inverse in enumerate(band_inverses(order)):
         part = slice(band * band, (band + 1) * (band + 1))
         # M f = Y(R d)ᵀ (pinv(Y(d))ᵀ f): f as lobes along d_k, which R carries along.
         lobes = vector[..., part] @ constant_like(inverse, vector)
@@ -89,7 +97,7 @@ def rotate_zxzxz(coefficients: Array, rotation: Array) -> Array:
         rotation: R, (..., 3, 3); its leading axes broadcast with those of ``coefficients``.
     """
     vector: Any = as_floating(coefficients)
-    turn: Any = _checked(rotation)
+    turn: Any = checked_rotation(rotation)
     xp = library(turn)
     order = order_of(vector)
     entries = [[turn[..., row, column] for column in range(3)] for row in range(3)]
@@ -229,11 +237,12 @@ def _euler_zyz(entries: list[list[Any]]) -> list[tuple[Any, Any]]:
 
 def _rotated_samples(rotation: Any, order: int) -> Any:
     """The basis at R d_k, (..., K, n²)."""
-    directions = constant_like(_sample_directions(order), rotation)
+    directions = constant_like(sample_directions(order), rotation)
     return evaluate(directions @ rotation.swapaxes(-1, -2), order)
 
 
-def _checked(rotation: Any) -> Any:
+def checked_rotation(rotation: Any) -> Any:
+    """The rotation (..., 3, 3) itself, floating. Raises ValueError where it is none."""
     rotation = as_floating(rotation)
     if rotation.ndim < 2 or tuple(rotation.shape[-2:]) != (3, 3):
         raise ValueError(f"a rotation must have shape (..., 3, 3), not {tuple(rotation.shape)}")
@@ -249,18 +258,20 @@ def _checked(rotation: Any) -> Any:
 
 
 @lru_cache
-def _sample_directions(order: int) -> FloatArray:
-    """2n − 1 directions at which the highest band is well conditioned, (K, 3)."""
+def sample_directions(order: int) -> FloatArray:
+    """2n − 1 directions at which the highest band is well conditioned, (K, 3), read-only."""
     from scipy.linalg import qr
 
     candidates = fibonacci_sphere(200 * order)
     highest = evaluate_reference(candidates, order)[:, (order - 1) ** 2 :]
     chosen = qr(highest.T, pivoting=True, mode="r")[1][: 2 * order - 1]
-    return candidates[chosen]
+    result = candidates[chosen]
+    result.flags.writeable = False
+    return result
 
 
 @lru_cache
-def _band_inverses(order: int) -> list[FloatArray]:
+def band_inverses(order: int) -> list[FloatArray]:
     """Pseudo-inverse (2l+1, K) of each band at the sample directions."""
-    basis = evaluate_reference(_sample_directions(order), order)
+    basis = evaluate_reference(sample_directions(order), order)
     return [np.linalg.pinv(basis[:, band * band : (band + 1) ** 2]) for band in range(order)]
