@@ -126,7 +126,7 @@ class RenderOptions:
     out: Path  # picture to write, .png
     clip: str | None = None  # the animation; the scene's first when not given
     time: float | None = None  # seconds; the middle of the clip when not given
-    light: str = "studio"  # a Radiance .hdr file or the name of a preset
+    light: str = "studio"  # a .hdr or .exr file, or the name of a preset
     size: tuple[int, int] = (640, 640)  # of the picture, in pixels
     compare: Literal["truth"] | None = None  # show the ray-traced truth and the error beside it
     rays: int = 1024  # rays per receiver of the truth
@@ -150,7 +150,7 @@ class ReportOptions:
     dataset: Positional[Path]  # from prtnet generate
     out: Path  # page to write, .html
     quick: bool = False  # the smallest of every family that fits in seconds
-    light: str = "studio"  # of the pictures: a Radiance .hdr file or the name of a preset
+    light: str = "studio"  # of the pictures: a .hdr or .exr file, or the name of a preset
     renderer: Literal["gl", "cpu"] | None = None  # OpenGL or NumPy; OpenGL where there is one
     device: str = "cpu"  # where torch fits: cpu, or cuda
     threads: int | None = None  # CPU threads; all cores when not given
