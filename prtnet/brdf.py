@@ -40,9 +40,17 @@ SMOOTHEST = 1e-3  # roughness: below it a highlight is narrower than float32 tel
 
 
 class BRDF(ABC):
-    """A reflectance."""
+    """A reflectance.
+
+    Attributes:
+        name: for people.
+        turns: whether it stays the same when both directions turn about the normal.
+        mirrors: whether it does when both are mirrored along the tangent, or across it.
+    """
 
     name: ClassVar[str]
+    turns: ClassVar[bool] = True
+    mirrors: ClassVar[bool] = True
 
     def __call__(self, light: FloatArray, view: FloatArray) -> FloatArray:
         """Of directions (…, 3) that broadcast: f (…, 3), float64."""
@@ -238,6 +246,7 @@ class Schlick(BRDF):
     """
 
     name: ClassVar[str] = "schlick"
+    turns: ClassVar[bool] = False
     specular: Colour | float = 1.0
     roughness: float = 0.2
     isotropy: float = 0.2
@@ -262,6 +271,7 @@ class AshikhminShirley(BRDF):
     """Ashikhmin and Shirley 2000: anisotropic Phong under a coat, over a diffuse base."""
 
     name: ClassVar[str] = "ashikhmin-shirley"
+    turns: ClassVar[bool] = False
     diffuse: Colour | float = 0.4
     specular: Colour | float = 0.2
     along: float = 20.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtnet import sh
-from prtnet.arrays import FloatArray
+from prtnet.arrays import FloatArray, IntArray
 from prtnet.brdf import BRDF
 from prtnet.hemisphere import Mapping, cells
 
@@ -79,14 +79,30 @@ def tabulate(
     table = np.empty((len(out), len(out), 3), dtype=np.float32)
     light = out.reshape(1, -1, 3)
     cosine = (np.maximum(light[0, :, 2], 0.0) * weight.ravel())[:, None]
-    for rows in blocks(len(out), light.shape[1]):
-        mean = np.zeros((len(out[rows]), len(out), 3))
+    alike = symmetries(size, brdf.turns, brdf.mirrors)
+    views = np.unique(alike.min(axis=0))
+    for part in blocks(len(views), light.shape[1]):
+        rows = views[part]
+        mean = np.zeros((len(rows), len(out), 3))
         for sample in range(out.shape[1]):  # of the view's cell
             value = brdf(light, out[rows, sample][:, None]) * cosine
             value = value.reshape(len(mean), *area.shape, 3).sum(axis=2)
             mean += weight[rows, sample, None, None] * value
-        table[rows] = mean
+        for moved in alike:
+            table[moved[rows][:, None], moved] = mean
     return table
+
+
+def symmetries(size: int, turns: bool, mirrors: bool) -> IntArray:
+    """Where cells of a table go when all is turned by quarters, and mirrored, (G, size²).
+
+    A BRDF that such a move of both directions leaves alike has the same numbers there.
+    """
+    index = np.arange(size * size).reshape(size, size)
+    found = [np.rot90(index, k) for k in (range(4) if turns else (0, 2) if mirrors else (0,))]
+    if mirrors:
+        found += [np.flip(one, axis=1) for one in found]
+    return np.stack([one.ravel() for one in found])
 
 
 def blocks(count: int, each: int) -> Iterator[slice]:

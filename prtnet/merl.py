@@ -30,6 +30,7 @@ class Measured(BRDF):
     """
 
     name: ClassVar[str] = "measured"
+    mirrors: ClassVar[bool] = False  # as far as it was measured
     table: FloatArray
 
     def above(self, light: FloatArray, view: FloatArray) -> FloatArray:
