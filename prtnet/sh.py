@@ -37,6 +37,7 @@ __all__ = [
     "gradient",
     "lower_hemisphere",
     "order_of",
+    "polynomial",
     "product_matrix",
     "project_function",
     "project_samples",
@@ -102,7 +103,7 @@ def _polynomial_rows(xyz: Any, order: int) -> list[Any]:
     for band in range(order):
         centre = band * band + band
         for m in range(band + 1):
-            value, *others = _polynomial(band, m)
+            value, *others = polynomial(band, m)
             for other in others:
                 value = value * squared + other
             if (band - m) % 2:
@@ -189,8 +190,11 @@ def _legendre(z: Any, order: int) -> list[list[Any]]:
 
 
 @cache
-def _polynomial(band: int, m: int) -> tuple[float, ...]:
-    """Q_lm's coefficients, highest power of z first, every second power (the rest vanish)."""
+def polynomial(band: int, m: int) -> tuple[float, ...]:
+    """Q_lm's coefficients, highest power of z first, every second power (the rest vanish).
+
+    y_{l,±m} = Q_lm(z) · {Re, Im}(x + iy)^m.
+    """
     ratio = Fraction(math.factorial(band - m), math.factorial(band + m)) * (2 * band + 1)
     scale = (-1) ** m * math.sqrt((2 if m else 1) * ratio / (4.0 * math.pi))
     coefficients = []

@@ -10,11 +10,14 @@ import numpy as np
 
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError, nearest_name
+from prtnet.reflection import ReflectionOperator
+from prtnet.zh import Lobes
 from runtime.camera import Camera
 from runtime.rasteriser import rasterise
+from runtime.reflected import Subject, outgoing_radiance
 from runtime.shading import Surface, reflected_light
 
-__all__ = ["Renderer", "RendererName", "opened", "render", "usable"]
+__all__ = ["Renderer", "RendererName", "opened", "render", "render_material", "usable"]
 
 SIDE_LIMIT = 1 << 14  # samples; also what OpenGL and the rasteriser's integers can hold
 SAMPLE_LIMIT = 1 << 26
@@ -29,6 +32,17 @@ class Renderer(Protocol):
         self, surface: Surface, light: FloatArray, matrix: FloatArray, size: tuple[int, int]
     ) -> FloatArray:
         """Linear colour and coverage, (H, W, 4) float32, one sample at every pixel's centre."""
+        ...
+
+    def draw_material(
+        self,
+        subject: Subject,
+        lobes: Lobes,
+        operator: ReflectionOperator,
+        camera: Camera,
+        size: tuple[int, int],
+    ) -> FloatArray:
+        """The same of a subject of a material, under lobes of light of three colours."""
         ...
 
 
@@ -47,6 +61,25 @@ class CPURenderer:
             matrix,
             size,
             None if back is None else back @ light,
+        )
+
+    def draw_material(
+        self,
+        subject: Subject,
+        lobes: Lobes,
+        operator: ReflectionOperator,
+        camera: Camera,
+        size: tuple[int, int],
+    ) -> FloatArray:
+        """As ``GLRenderer.draw_material``."""
+        eye = np.asarray(camera.eye)
+        colours = [
+            outgoing_radiance(subject.positions, side, eye, lobes, operator)
+            for side in subject.sides
+        ]
+        matrix = camera.matrix(size[0] / size[1])
+        return rasterise(
+            subject.positions, subject.faces, colours[0], matrix, size, (*colours, None)[1]
         )
 
 
@@ -104,6 +137,47 @@ def render(
     Raises:
         PrtnetError: the picture is too large.
     """
+    fine = renderer.draw(
+        surface,
+        reflected_light(light, albedo),
+        camera.matrix(size[0] / size[1]),
+        finer(size, samples),
+    )
+    return averaged(fine, size)
+
+
+def render_material(
+    renderer: Renderer,
+    subject: Subject,
+    lobes: Lobes,
+    operator: ReflectionOperator,
+    camera: Camera,
+    size: tuple[int, int],
+    samples: int = 4,
+) -> FloatArray:
+    """A picture of a subject of any material under a distant light.
+
+    Args:
+        renderer: from ``opened``.
+        subject: the mesh, its visibility and frames.
+        lobes: of light of three colours, world frame: axes (3, N, 3), coefficients (3, N, n).
+        operator: the material, of the order of visibility.
+        camera: where from.
+        size: width and height in pixels.
+        samples: a pixel, a square number: 4 draws at twice the size and averages.
+
+    Returns:
+        As ``render``.
+
+    Raises:
+        PrtnetError: the picture is too large.
+    """
+    fine = renderer.draw_material(subject, lobes, operator, camera, finer(size, samples))
+    return averaged(fine, size)
+
+
+def finer(size: tuple[int, int], samples: int) -> tuple[int, int]:
+    """The size of a picture of one sample a pixel, from which the wanted one is averaged."""
     width, height = size
     scale = round(samples**0.5)
     if scale < 1 or scale * scale != samples:
@@ -112,11 +186,13 @@ def render(
         raise PrtnetError(
             "--size", f"{width}x{height} is too large a picture; use 4096x4096 at most"
         )
-    fine = renderer.draw(
-        surface,
-        reflected_light(light, albedo),
-        camera.matrix(width / height),
-        (width * scale, height * scale),
-    )
+    return width * scale, height * scale
+
+
+def averaged(fine: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """Means of the samples of every pixel."""
+    width, height = size
+    scale = len(fine) // height
     rows = np.add.reduceat(fine, np.arange(0, height * scale, scale), axis=0)
-    return np.add.reduceat(rows, np.arange(0, width * scale, scale), axis=1) / np.float32(samples)
+    columns = np.add.reduceat(rows, np.arange(0, width * scale, scale), axis=1)
+    return np.asarray(columns / np.float32(scale * scale))

@@ -16,11 +16,14 @@ import numpy as np
 
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
+from prtnet.reflection import ReflectionOperator
+from prtnet.zh import Lobes
+from runtime.camera import Camera
+from runtime.reflected import Subject
 from runtime.shading import Surface
+from runtime.stage import TEXTURE_WIDTH, Stage
 
-__all__ = ["GLRenderer", "available"]
-
-TEXTURE_WIDTH = 2048  # texels; every WebGL 2 device has at least this
+__all__ = ["GLRenderer", "available", "create_context"]
 
 VERTEX_SHADER = """#version 330
 const int TEXELS = $TEXELS;  // of one vertex, four coefficients each
@@ -100,6 +103,7 @@ class GLRenderer:
     def __init__(self) -> None:
         self._context = create_context()
         self._programs: dict[int, Any] = {}
+        self._stages: dict[int, Stage] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -115,9 +119,10 @@ class GLRenderer:
     def close(self) -> None:
         """Release the context and all that lives in it."""
         with self._context:
-            for program in self._programs.values():
-                program.release()
+            for held in (*self._programs.values(), *self._stages.values()):
+                held.release()
             self._programs.clear()
+            self._stages.clear()
         self._context.release()
 
     def draw(
@@ -137,10 +142,7 @@ class GLRenderer:
         Raises:
             PrtnetError: the picture or the mesh is larger than this OpenGL can hold.
         """
-        limit = int(self._context.info["GL_MAX_TEXTURE_SIZE"])
-        if max(size) > limit:
-            message = f"{size[0]}x{size[1]} is more than this OpenGL draws ({limit}); ask for less"
-            raise PrtnetError("--size", message)
+        limit = self._limit(size)
         texels = texels_of(surface.transfer)
         if -(-len(surface.positions) // (TEXTURE_WIDTH // texels)) > limit:
             message = f"{len(surface.positions)} vertices do not fit a texture"
@@ -153,6 +155,56 @@ class GLRenderer:
             program["light"].write(padded.tobytes())
             self._bind_transfer(program, surface, made)
             return self._rasterise(program, surface, size, made)
+
+    def draw_material(
+        self,
+        subject: Subject,
+        lobes: Lobes,
+        operator: ReflectionOperator,
+        camera: Camera,
+        size: tuple[int, int],
+    ) -> FloatArray:
+        """Shade and draw a subject of any material, both sides; see ``draw``.
+
+        Args:
+            subject: the mesh, its visibility and frames.
+            lobes: of light of three colours, world frame.
+            operator: the material.
+            camera: where from.
+            size: width and height in pixels.
+        """
+        self._limit(size)
+        order = operator.order
+        with self._context, contextlib.ExitStack() as made:
+            if order not in self._stages:
+                self._stages[order] = Stage(self._context, order)
+            stage = self._stages[order]
+            stage.show(subject)
+            stage.light(lobes)
+            stage.material(operator)
+            frame = self._frame(size, made)
+            stage.draw(frame, camera.matrix(size[0] / size[1]), np.asarray(camera.eye))
+            return pixels_of(frame, size)
+
+    def _limit(self, size: tuple[int, int]) -> int:
+        """The largest texture's side; PrtnetError where the picture is larger."""
+        limit = int(self._context.info["GL_MAX_TEXTURE_SIZE"])
+        if max(size) > limit:
+            message = f"{size[0]}x{size[1]} is more than this OpenGL draws ({limit}); ask for less"
+            raise PrtnetError("--size", message)
+        return limit
+
+    def _frame(self, size: tuple[int, int], made: contextlib.ExitStack) -> Any:
+        """A framebuffer of linear colour and depth, cleared and in use."""
+        colour = self._context.texture(size, 4, dtype="f4")
+        made.callback(colour.release)
+        depth = self._context.depth_renderbuffer(size)
+        made.callback(depth.release)
+        frame = self._context.framebuffer([colour], depth)
+        made.callback(frame.release)
+        frame.use()
+        frame.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
+        return frame
 
     def _program(self, texels: int) -> Any:
         if texels not in self._programs:
@@ -186,18 +238,16 @@ class GLRenderer:
         made.callback(indices.release)
         mesh = context.vertex_array(program, [(positions, "3f", "position")], indices)
         made.callback(mesh.release)
-        colour = context.texture(size, 4, dtype="f4")
-        made.callback(colour.release)
-        depth = context.depth_renderbuffer(size)
-        made.callback(depth.release)
-        frame = context.framebuffer([colour], depth)
-        made.callback(frame.release)
-        frame.use()
-        frame.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
+        frame = self._frame(size, made)
         context.enable_only(moderngl.DEPTH_TEST)
         mesh.render(moderngl.TRIANGLES)
-        pixels = np.frombuffer(frame.read(components=4, dtype="f4"), dtype="f4")
-        return pixels.reshape(size[1], size[0], 4)[::-1].copy()  # OpenGL's first row is the lowest
+        return pixels_of(frame, size)
+
+
+def pixels_of(frame: Any, size: tuple[int, int]) -> FloatArray:
+    """(H, W, 4) float32 of a framebuffer, top row first: OpenGL's first is the lowest."""
+    pixels = np.frombuffer(frame.read(components=4, dtype="f4"), dtype="f4")
+    return pixels.reshape(size[1], size[0], 4)[::-1].copy()
 
 
 def texels_of(transfer: FloatArray) -> int:

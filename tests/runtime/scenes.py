@@ -7,9 +7,10 @@ from trimesh.creation import icosphere, torus
 
 from prtnet import sh
 from runtime.camera import Camera
+from runtime.reflected import Side, Subject
 from runtime.shading import Surface, world_transfer
 
-__all__ = ["frames_of", "knot", "sky"]
+__all__ = ["frames_of", "knot", "knot_subject", "sky", "three_quarters"]
 
 
 def frames_of(normals: np.ndarray) -> np.ndarray:
@@ -21,6 +22,13 @@ def frames_of(normals: np.ndarray) -> np.ndarray:
 
 
 def knot(order: int = 4, two_sided: bool = False, detail: int = 3) -> Surface:
+    """As ``knot_subject``, diffuse."""
+    subject = knot_subject(order, two_sided, detail)
+    front, *back = (world_transfer(side.visibility, side.frames) for side in subject.sides)
+    return Surface(subject.positions, subject.faces, front, back[0] if back else None)
+
+
+def knot_subject(order: int = 4, two_sided: bool = False, detail: int = 3) -> Subject:
     """A ball through a ring, with smooth made-up visibility: silhouettes, holes, intersections."""
     ring, ball = torus(1.0, 0.35), icosphere(subdivisions=detail, radius=0.7)
     positions = np.concatenate([ring.vertices, ball.vertices]).astype(np.float32)
@@ -29,9 +37,8 @@ def knot(order: int = 4, two_sided: bool = False, detail: int = 3) -> Surface:
     rng = np.random.default_rng(7)
     visibility = 0.3 * np.sin(3 * positions @ rng.normal(size=(3, order * order)))
     visibility[:, 0] += np.sqrt(4 * np.pi) * 0.7
-    transfer = world_transfer(visibility, frames_of(normals))
-    back = world_transfer(visibility, frames_of(-normals)) if two_sided else None
-    return Surface(positions, faces.astype(np.int32), transfer, back)
+    front, back = (Side(visibility, frames_of(sign * normals)) for sign in (1.0, -1.0))
+    return Subject(positions, faces.astype(np.int32), front, back if two_sided else None)
 
 
 def sky(order: int = 4) -> np.ndarray:
@@ -44,6 +51,6 @@ def sky(order: int = 4) -> np.ndarray:
     return sh.project_function(radiance, order)
 
 
-def three_quarters(surface: Surface, size: tuple[int, int]) -> Camera:
+def three_quarters(surface: Surface | Subject, size: tuple[int, int]) -> Camera:
     """A camera that sees the whole surface."""
     return Camera.framing(surface.positions, size[0] / size[1], azimuth=0.6, elevation=0.5)

@@ -1,0 +1,153 @@
+"""The vertex shader of any material: GLSL 3.30, nothing beyond WebGL 2's reach.
+
+One source for every BRDF: an operator is a texture of numbers. Lobes of light are turned into the
+vertex's frame by turning their axes; visibility comes from a texture, four coefficients a texel.
+Spherical harmonics are written out for the order, from the constants of :mod:`prtnet.sh`.
+"""
+
+from __future__ import annotations
+
+from prtnet.sh import polynomial
+from runtime.reflected import LOWEST
+
+__all__ = ["FRAGMENT_SHADER", "MOST_LOBES", "harmonics_glsl", "vertex_shader"]
+
+MOST_LOBES = 11  # of each colour: what holds any light of order 6
+
+VERTEX_SHADER = """#version 330
+const int COEFFICIENTS = $COEFFICIENTS;
+const int ORDER = $ORDER;
+const int TEXELS = (COEFFICIENTS + 3) / 4;
+const int COLUMNS = $COLUMNS;  // vertices in a row of a texture of visibility
+
+uniform mat4 view_projection;
+uniform vec3 eye;
+uniform int lobes;
+uniform vec3 axis[3 * $LOBES];  // of a colour's lobes, one colour after the other
+uniform float zonal[3 * $LOBES * ORDER];  // of each, by bands
+uniform bool two_sided;
+uniform int factors;
+uniform int view_coefficients;
+uniform highp sampler2D matrices;  // M^b: a row of texels for each row of each factor
+uniform highp sampler2D view_factors;  // w^b: a texel for each coefficient, a row for each factor
+uniform highp sampler2D front_visibility;
+uniform highp sampler2D back_visibility;
+
+in vec3 position;
+in vec3 front_tangent;
+in vec3 front_normal;
+in vec3 back_tangent;
+in vec3 back_normal;
+out vec3 front;
+out vec3 back;
+
+$HARMONICS
+vec3 radiance(highp sampler2D visibility, vec3 tangent, vec3 normal) {
+    mat3 frame = mat3(tangent, cross(normal, tangent), normal);
+    float light[3 * COEFFICIENTS];
+    float y[COEFFICIENTS];
+    for (int c = 0; c < 3; ++c) {
+        for (int i = 0; i < COEFFICIENTS; ++i) light[c * COEFFICIENTS + i] = 0.0;
+        for (int k = 0; k < lobes; ++k) {
+            int lobe = c * $LOBES + k;
+            harmonics(axis[lobe] * frame, y);
+            for (int l = 0; l < ORDER; ++l) {
+                float g = zonal[lobe * ORDER + l];
+                for (int i = l * l; i < (l + 1) * (l + 1); ++i)
+                    light[c * COEFFICIENTS + i] += g * y[i];
+            }
+        }
+    }
+    float v[4 * TEXELS];
+    ivec2 first = ivec2((gl_VertexID % COLUMNS) * TEXELS, gl_VertexID / COLUMNS);
+    for (int k = 0; k < TEXELS; ++k) {
+        vec4 texel = texelFetch(visibility, first + ivec2(k, 0), 0);
+        for (int j = 0; j < 4; ++j) v[4 * k + j] = texel[j];
+    }
+    vec3 view = normalize(eye - position) * frame;
+    view = normalize(vec3(view.xy, max(view.z, $LOWEST)));
+    harmonics(view, y);
+    vec3 sum = vec3(0.0);
+    for (int b = 0; b < factors; ++b) {
+        vec3 lit = vec3(0.0);
+        for (int i = 0; i < COEFFICIENTS; ++i) {
+            float product = 0.0;
+            for (int k = 0; k < TEXELS; ++k) {
+                vec4 m = texelFetch(matrices, ivec2(k, b * COEFFICIENTS + i), 0);
+                product += dot(m, vec4(v[4 * k], v[4 * k + 1], v[4 * k + 2], v[4 * k + 3]));
+            }
+            lit += product * vec3(light[i], light[COEFFICIENTS + i], light[2 * COEFFICIENTS + i]);
+        }
+        vec3 seen = vec3(0.0);
+        for (int i = 0; i < view_coefficients; ++i)
+            seen += y[i] * texelFetch(view_factors, ivec2(i, b), 0).rgb;
+        sum += seen * lit;
+    }
+    return sum;
+}
+
+void main() {
+    front = radiance(front_visibility, front_tangent, front_normal);
+    back = two_sided ? radiance(back_visibility, back_tangent, back_normal) : front;
+    gl_Position = view_projection * vec4(position, 1.0);
+}
+"""
+
+FRAGMENT_SHADER = """#version 330
+in vec3 front;
+in vec3 back;
+out vec4 colour;
+
+void main() {
+    colour = vec4(gl_FrontFacing ? front : back, 1.0);
+}
+"""
+
+
+def vertex_shader(order: int, columns: int) -> str:
+    """The shader for visibility of an order.
+
+    Args:
+        order: bands n.
+        columns: vertices in a row of the textures of visibility.
+    """
+    words = {
+        "$COEFFICIENTS": str(order**2),
+        "$ORDER": str(order),
+        "$COLUMNS": str(columns),
+        "$LOBES": str(MOST_LOBES),
+        "$LOWEST": f"{LOWEST:e}",
+        "$HARMONICS": harmonics_glsl(order),
+    }
+    text = VERTEX_SHADER
+    for word, value in words.items():
+        text = text.replace(word, value)
+    return text
+
+
+def harmonics_glsl(order: int) -> str:
+    """``void harmonics(vec3 d, out float y[n²])``: the basis at a unit direction."""
+    lines = ["float zz = d.z * d.z;"]
+    for m in range(1, order):  # Re and Im of (x + iy)^m
+        if m == 1:
+            lines += ["float c1 = d.x;", "float s1 = d.y;"]
+        else:
+            lines.append(f"float c{m} = d.x * c{m - 1} - d.y * s{m - 1};")
+            lines.append(f"float s{m} = d.x * s{m - 1} + d.y * c{m - 1};")
+    for band in range(order):
+        centre = band * band + band
+        for m in range(band + 1):
+            first, *others = polynomial(band, m)
+            value = f"{first:.9e}"
+            for other in others:
+                value = f"({value} * zz + {other:.9e})"
+            if (band - m) % 2:
+                value += " * d.z"
+            if m == 0:
+                lines.append(f"y[{centre}] = {value};")
+                continue
+            lines.append(f"float q{band}{m} = {value};")
+            lines.append(f"y[{centre + m}] = q{band}{m} * c{m};")
+            lines.append(f"y[{centre - m}] = q{band}{m} * s{m};")
+    body = "\n".join(f"    {line}" for line in lines)
+    return f"void harmonics(vec3 d, out float y[COEFFICIENTS]) {{\n{body}\n}}\n"

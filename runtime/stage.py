@@ -1,0 +1,208 @@
+"""Subjects, lights and materials on an OpenGL context: swapped one by one, drawn when wanted.
+
+What changes each frame (vertices, frames, visibility) is written into buffers and textures that
+stay; a light is some uniforms, a material two small textures. No shader is ever built again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from prtnet.arrays import FloatArray
+from prtnet.errors import PrtnetError
+from prtnet.reflection import ReflectionOperator
+from prtnet.zh import Lobes
+from runtime.material_shader import FRAGMENT_SHADER, MOST_LOBES, vertex_shader
+from runtime.reflected import Side, Subject
+
+__all__ = ["Stage"]
+
+TEXTURE_WIDTH = 2048  # texels; every WebGL 2 device has at least this
+SIDES = ("front", "back")
+
+
+class Stage:
+    """One subject under one light, of one material.
+
+    Args:
+        context: that everything lives in; it must be current.
+        order: bands n of visibility.
+
+    Attributes:
+        milliseconds: of the last ``show`` (on the CPU) and ``draw`` (on the GPU, where it has
+            timers), by name.
+    """
+
+    def __init__(self, context: moderngl.Context, order: int) -> None:
+        self.context, self.order = context, order
+        self.texels = -(-(order**2) // 4)
+        self.columns = TEXTURE_WIDTH // self.texels
+        self.program: Any = context.program(
+            vertex_shader=vertex_shader(order, self.columns), fragment_shader=FRAGMENT_SHADER
+        )
+        self.milliseconds: dict[str, float] = {}
+        self._held: dict[str, Any] = {}
+        self._mesh: Any = None
+        self._shape: tuple[int, int, bool] | None = None
+        self._material: ReflectionOperator | None = None
+        try:
+            self._timer: Any = context.query(time=True)
+        except Exception:  # some OpenGL has no timer queries: it draws all the same
+            self._timer = None
+        for unit, name in enumerate(
+            ("front_visibility", "back_visibility", "matrices", "view_factors")
+        ):
+            self._set(name, unit)
+
+    def release(self) -> None:
+        """Give everything back but the context."""
+        for held in [self._mesh, *self._held.values(), self.program]:
+            if held is not None:
+                held.release()
+        self._held.clear()
+        self._mesh = None
+
+    def show(self, subject: Subject) -> None:
+        """Take a subject's pose.
+
+        Raises:
+            PrtnetError: it has more vertices than a texture of this OpenGL holds.
+        """
+        started = time.perf_counter()
+        count = len(subject.positions)
+        rows = -(-count // self.columns)
+        if rows > int(self.context.info["GL_MAX_TEXTURE_SIZE"]):
+            raise PrtnetError(
+                "--renderer gl", f"{count} vertices do not fit a texture; use --renderer cpu"
+            )
+        shape = (count, len(subject.faces), subject.back is not None)
+        if shape != self._shape:
+            self._allocate(subject, shape, rows)
+        self._held["positions"].write(np.ascontiguousarray(subject.positions, dtype="f4"))
+        for name, side in zip(SIDES, subject.sides, strict=False):
+            pair = side.frames[..., [0, 2]].swapaxes(1, 2)  # tangent, then normal
+            self._held[f"{name}_frames"].write(np.ascontiguousarray(pair, dtype="f4"))
+            self._held[f"{name}_visibility"].write(self._padded(side, rows))
+        self.milliseconds["upload"] = 1e3 * (time.perf_counter() - started)
+
+    def _allocate(self, subject: Subject, shape: tuple[int, int, bool], rows: int) -> None:
+        """Buffers and textures of a new mesh."""
+        count, _, both = shape
+        held = self._held
+        for name in [name for name in held if name not in ("matrices", "view_factors")]:
+            held.pop(name).release()
+        if self._mesh is not None:
+            self._mesh.release()
+        held["faces"] = self.context.buffer(np.ascontiguousarray(subject.faces, dtype="i4"))
+        held["positions"] = self.context.buffer(reserve=max(1, 12 * count))
+        for name in SIDES if both else SIDES[:1]:
+            held[f"{name}_frames"] = self.context.buffer(reserve=max(1, 24 * count))
+            size = (self.columns * self.texels, max(1, rows))
+            held[f"{name}_visibility"] = self._texture(size)
+        back = held.get("back_frames", held["front_frames"])
+        self._mesh = self.context.vertex_array(
+            self.program,
+            [
+                *self._attributes(held["positions"], "position"),
+                *self._attributes(held["front_frames"], "front_tangent", "front_normal"),
+                *self._attributes(back, "back_tangent", "back_normal"),
+            ],
+            held["faces"],
+        )
+        self._set("two_sided", both)
+        self._shape = shape
+
+    def _attributes(self, buffer: Any, *names: str) -> list[tuple[Any, ...]]:
+        """Three floats each; those that the shader of a low order has no use for are skipped."""
+        used = [name for name in names if name in self.program]
+        layout = " ".join("3f" if name in used else "12x" for name in names)
+        return [(buffer, layout, *used)] if used else []
+
+    def _set(self, name: str, value: Any) -> None:
+        """A uniform, unless the shader of a low order has no use for it."""
+        if name in self.program:
+            if isinstance(value, np.ndarray):
+                self.program[name].write(np.ascontiguousarray(value, dtype="f4"))
+            else:
+                self.program[name] = value
+
+    def _padded(self, side: Side, rows: int) -> Any:
+        """Visibility (V, n²) as whole texels and rows."""
+        data = np.zeros((rows * self.columns, 4 * self.texels), dtype="f4")
+        data[: len(side.visibility), : self.order**2] = side.visibility
+        return data
+
+    def _texture(self, size: tuple[int, int], data: Any = None) -> Any:
+        texture = self.context.texture(size, 4, data, dtype="f4")
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        return texture
+
+    def light(self, lobes: Lobes) -> None:
+        """Take a light of lobes for three colours: axes (3, N, 3), coefficients (3, N, n).
+
+        Raises:
+            ValueError: they are too many, or of another order.
+        """
+        colours, count, order = lobes.coefficients.shape
+        if colours != 3 or count > MOST_LOBES or order != self.order:
+            raise ValueError(f"{colours} x {count} lobes of order {order} do not fit the shader")
+        axes = np.zeros((3, MOST_LOBES, 3), dtype="f4")
+        zonal = np.zeros((3, MOST_LOBES, order), dtype="f4")
+        axes[:, :count], zonal[:, :count] = lobes.axes, lobes.coefficients
+        axes[:, count:, 2] = 1.0
+        self._set("axis", axes)
+        self._set("zonal", zonal)
+        self._set("lobes", count)
+
+    def material(self, operator: ReflectionOperator) -> None:
+        """Take a material.
+
+        Raises:
+            ValueError: it is of another order.
+        """
+        if operator is self._material:
+            return
+        factors, size, _ = operator.matrices.shape
+        coefficients = operator.view.shape[1]
+        if operator.order != self.order or coefficients > size:
+            raise ValueError(f"an operator of order {operator.order} does not fit the shader")
+        matrices = np.zeros((factors, size, 4 * self.texels), dtype="f4")
+        matrices[..., :size] = operator.matrices
+        view = np.zeros((factors, coefficients, 4), dtype="f4")
+        view[..., :3] = operator.view
+        for name in ("matrices", "view_factors"):
+            if name in self._held:
+                self._held.pop(name).release()
+        self._held["matrices"] = self._texture((self.texels, factors * size), matrices)
+        self._held["view_factors"] = self._texture((coefficients, factors), view)
+        self._material = operator
+        self._set("factors", factors)
+        self._set("view_coefficients", coefficients)
+
+    def draw(self, frame: Any, matrix: FloatArray, eye: FloatArray) -> None:
+        """Draw into a framebuffer over what is there; its depth is tested.
+
+        Args:
+            frame: of OpenGL.
+            matrix: world to clip space, (4, 4), as ``Camera.matrix``.
+            eye: where the camera is, (3,).
+        """
+        frame.use()
+        self.context.enable_only(moderngl.DEPTH_TEST)
+        self._set("view_projection", np.asarray(matrix).T)
+        self._set("eye", np.asarray(eye))
+        front = self._held["front_visibility"]
+        textures = (front, self._held.get("back_visibility", front))
+        for unit, texture in enumerate(
+            (*textures, self._held["matrices"], self._held["view_factors"])
+        ):
+            texture.use(unit)
+        with self._timer or contextlib.nullcontext():
+            self._mesh.render(moderngl.TRIANGLES)
+        if self._timer is not None:
+            self.milliseconds["draw"] = self._timer.elapsed / 1e6

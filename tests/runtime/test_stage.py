@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+import dataclasses
+
+import moderngl
+import numpy as np
+import pytest
+
+from prtnet.errors import PrtnetError
+from prtnet.materials import brdf_named, material
+from prtnet.reflection import ReflectionOperator
+from prtnet.zh import Lobes, exact_lobes
+from runtime import stage as module
+from runtime.draw import opened, render_material
+from runtime.gl import GLRenderer, create_context
+from runtime.material_shader import MOST_LOBES
+from runtime.picture import srgb_encode
+from runtime.reflected import Subject
+from runtime.stage import Stage
+from tests.runtime.scenes import knot_subject, sky, three_quarters
+
+pytestmark = pytest.mark.gl
+
+SIZE = (96, 72)
+
+
+def shining(order: int, factors: int = 5, seed: int = 0) -> ReflectionOperator:
+    """An operator of random numbers: no shader can be right by chance."""
+    rng = np.random.default_rng(seed)
+    matrices = rng.normal(size=(factors, order**2, order**2)) / order**2
+    view = rng.normal(size=(factors, order**2, 3))
+    return ReflectionOperator(
+        (matrices + matrices.swapaxes(1, 2)).astype(np.float32), view.astype(np.float32)
+    )
+
+
+def drawn(name: str, subject: Subject, lobes: Lobes, operator: ReflectionOperator) -> np.ndarray:
+    camera = three_quarters(subject, SIZE)
+    with opened(name) as renderer:
+        return render_material(renderer, subject, lobes, operator, camera, SIZE, samples=1)
+
+
+@pytest.mark.parametrize("two_sided", [False, True])
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 6])
+def test_the_shader_does_what_numpy_does(order, two_sided):
+    subject, lobes = knot_subject(order, two_sided), exact_lobes(sky(order).T)
+    operator = shining(order)
+    pictures = [drawn(name, subject, lobes, operator) for name in ("cpu", "gl")]
+    assert pictures[0][..., 3].mean() > 0.2
+    scale = np.abs(pictures[0]).max()
+    # Drivers snap corners for coverage but need not for colour: up to 1/512 pixel of its slope.
+    assert np.mean(np.abs(pictures[0] - pictures[1]).max(-1) > 3e-3 * scale) < 1e-3
+
+
+@pytest.mark.parametrize("name", ["gold", "satin"])
+def test_pictures_are_within_two_steps_of_eight_bits(name):
+    subject, lobes = knot_subject(two_sided=True), exact_lobes(sky().T)
+    operator = material(brdf_named(name))
+    pictures = [srgb_encode(drawn(renderer, subject, lobes, operator)[..., :3])
+                for renderer in ("cpu", "gl")]  # fmt: skip
+    assert np.mean(np.abs(pictures[0] - pictures[1]).max(-1) <= 2 / 255) >= 0.999
+
+
+def test_lights_materials_and_poses_are_swapped_without_new_shaders():
+    subject = knot_subject()
+    camera = three_quarters(subject, SIZE)
+    few, many = exact_lobes(sky().T), exact_lobes(2.0 * sky().T)
+    moved = dataclasses.replace(subject, positions=subject.positions + 0.1)
+    one, other = shining(4, 2), shining(4, 7, seed=1)
+    with GLRenderer() as renderer:
+        first = renderer.draw_material(subject, few, one, camera, SIZE)
+        program = renderer._stages[4].program
+        for changed in ((moved, few, one), (subject, many, one), (subject, few, other)):
+            again = renderer.draw_material(*changed, camera, SIZE)
+            with GLRenderer() as fresh:
+                alone = fresh.draw_material(*changed, camera, SIZE)
+            assert np.array_equal(again, alone)
+            assert not np.array_equal(again, first)
+        both = knot_subject(two_sided=True)
+        renderer.draw_material(both, few, one, camera, SIZE)
+        assert np.array_equal(renderer.draw_material(subject, few, one, camera, SIZE), first)
+        assert renderer._stages[4].program is program
+
+
+def test_what_does_not_fit_is_refused(monkeypatch):
+    context = create_context()
+    with context:
+        stage = Stage(context, 4)
+        lobes = exact_lobes(sky().T)
+        crowd = Lobes(np.ones((3, MOST_LOBES + 1, 3)), np.ones((3, MOST_LOBES + 1, 4)))
+        with pytest.raises(ValueError, match="do not fit"):
+            stage.light(crowd)
+        with pytest.raises(ValueError, match="do not fit"):
+            stage.light(exact_lobes(sky(3).T))
+        with pytest.raises(ValueError, match="does not fit"):
+            stage.material(shining(3))
+        monkeypatch.setattr(module, "TEXTURE_WIDTH", 4)
+        small = Stage(context, 4)
+        huge = Subject(np.zeros((17_000, 3)), np.zeros((1, 3), np.int32), knot_subject().front)
+        with pytest.raises(PrtnetError, match="do not fit a texture"):
+            small.show(huge)
+        stage.light(lobes)
+        stage.release()
+    context.release()
+
+
+def test_it_draws_without_timers(monkeypatch):
+    subject, lobes, operator = knot_subject(), exact_lobes(sky().T), shining(4)
+    with_timer = drawn("gl", subject, lobes, operator)
+
+    def none(*_args: object, **_kwargs: object) -> None:
+        raise RuntimeError("no queries")
+
+    monkeypatch.setattr(moderngl.Context, "query", none)
+    assert np.array_equal(drawn("gl", subject, lobes, operator), with_timer)
