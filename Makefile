@@ -37,5 +37,5 @@ $(READY): pyproject.toml constraints.txt scripts/make-venv.sh scripts/system-gl.
 
 $(READY_DEV): $(READY)
 	@echo "Installing what the tests need ..."
-	@$(PIP) -e '.[dev]'
+	@$(PIP) -e '.[dev,viewer]'
 	@touch $@

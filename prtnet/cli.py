@@ -1,7 +1,7 @@
 """The command line: one function a command, thin over the packages it drives.
 
-This module, ``cli_train`` and ``cli_report`` may import ``data_gen``, ``training`` and
-``runtime``, inside the commands: ``prtnet --help`` answers at once.
+This module and ``cli_render``, ``cli_report``, ``cli_train``, ``cli_view`` may import ``data_gen``,
+``training`` and ``runtime``, inside the commands: ``prtnet --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -364,46 +364,27 @@ def render(argv: Sequence[str]) -> None:
     options, session = arguments("render", argv, RenderOptions)
     check_output(options.out, input_file(options.model), input_file(options.scene))
 
-    import numpy as np
+    from prtnet.cli_render import make_picture
 
-    from data_gen.readers import read_scene, require_clips
-    from data_gen.visibility import trace_pose
-    from prtnet.light import load_light
-    from prtnet.model import VisibilityModel
-    from prtnet.modelled_scene import ModelledScene
-    from runtime.camera import Camera
-    from runtime.draw import opened, usable
-    from runtime.draw import render as draw
-    from runtime.picture import auto_exposure, comparison, develop, save_png
-    from runtime.posed_surface import posed_surface
+    session.finish(make_picture(options, threads(options.threads), session.console))
 
-    model = VisibilityModel.load(options.model)
-    light = load_light(options.light, model.order)
-    scene = read_scene(options.scene)
-    require_clips(scene)
-    actor = ModelledScene(model, scene)
-    clip = scene.clip(options.clip) if options.clip else scene.clips[0]
-    time = (clip.start + clip.end) / 2 if options.time is None else options.time
-    pose = actor.poses(clip.name, np.array([time]))
-    surface = posed_surface(actor, pose, model(pose)[0])
-    camera = Camera.framing(surface.positions, options.size[0] / options.size[1])
-    facts = {"out": options.out, "clip": clip.name, "time": time, "size": options.size}
-    with opened(options.renderer or usable(session.console.message)) as renderer:
-        linear = draw(renderer, surface, light, camera, options.size)
-        if options.compare is None:
-            picture = develop(linear, auto_exposure(linear))
-        else:
-            with session.console.progress() as report:
-                report("tracing the truth", 0, 0)
-                truth = trace_pose(
-                    scene, actor.receivers, actor.frame_field, pose, model.order, options.rays,
-                    threads(options.threads),
-                )  # fmt: skip
-            true_surface = posed_surface(actor, pose, truth[0])
-            true_linear = draw(renderer, true_surface, light, camera, options.size)
-            picture, facts["error_in_per_cent_of_white"] = comparison(linear, true_linear)
-    save_png(options.out, picture)
-    session.finish(facts)
+
+def view(argv: Sequence[str]) -> None:
+    """Play a model in a window."""
+    from prtnet.cli_arguments import input_file
+    from prtnet.cli_options import ViewOptions
+
+    options, session = arguments("view", argv, ViewOptions)
+    input_file(options.model), input_file(options.scene)
+
+    from prtnet.cli_view import opened_viewer
+
+    viewer = opened_viewer(options, threads(options.threads), session.console.message)
+    try:
+        viewer.run()
+    finally:
+        viewer.close()
+    session.finish({"clip": viewer.view.clip, "milliseconds": viewer.show.milliseconds})
 
 
 def report(argv: Sequence[str]) -> None:
@@ -490,6 +471,11 @@ COMMANDS = {
         render,
         "Draw one picture of a posed scene, without a window.",
         "prtnet render robot.safetensors robot.glb --clip Walk --out frame.png --compare truth",
+    ),
+    "view": Command(
+        view,
+        "Play a model in a window: any light, any material, the truth beside it.",
+        "prtnet view robot.safetensors robot.glb --brdf gold",
     ),
     "report": Command(
         report,

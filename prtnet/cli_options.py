@@ -22,8 +22,12 @@ __all__ = [
     "RenderOptions",
     "ReportOptions",
     "TrainOptions",
+    "ViewOptions",
     "fraction_of",
 ]
+
+
+MOST_LOBES, MOST_FACTORS = 11, 64  # what shaders are made for
 
 
 def at_least(option: str, value: float | None, least: float) -> None:
@@ -126,9 +130,14 @@ class RenderOptions:
     out: Path  # picture to write, .png
     clip: str | None = None  # the animation; the scene's first when not given
     time: float | None = None  # seconds; the middle of the clip when not given
-    light: str = "studio"  # a .hdr or .exr file, or the name of a preset
+    light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
+    light_turn: float = 0.0  # turn the light about the vertical by so many degrees
+    lobes: int | None = None  # zonal lobes of the light, a colour; what holds it exactly by default
+    brdf: str = "matte"  # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file
+    factors: int = 8  # products that a BRDF is a sum of
     size: tuple[int, int] = (640, 640)  # of the picture, in pixels
-    compare: Literal["truth"] | None = None  # show the ray-traced truth and the error beside it
+    compare: Literal["truth", "visibility"] | None = None  # show the ray-traced picture, or one of
+    # ray-traced visibility that is shaded alike, and the error beside it
     rays: int = 1024  # rays per receiver of the truth
     renderer: Literal["gl", "cpu"] | None = None  # OpenGL or NumPy; OpenGL where there is one
     threads: int | None = None  # CPU threads; all cores when not given
@@ -137,8 +146,41 @@ class RenderOptions:
         """Refuse values that cannot work."""
         at_least("--rays", self.rays, 1)
         at_least("--threads", self.threads, 1)
+        at_least("--lobes", self.lobes, 1)
+        at_least("--factors", self.factors, 1)
+        at_least("--light-turn", self.light_turn, -1e6)
+        if (self.lobes or 1) > MOST_LOBES or self.factors > MOST_FACTORS:
+            raise PrtnetError("--lobes and --factors", f"are at most {MOST_LOBES}, {MOST_FACTORS}")
         if self.out.suffix.lower() != ".png":
             raise PrtnetError(self.out, "is no name of a PNG picture; end it in .png")
+        if max(self.size) > 8192:
+            raise PrtnetError("--size", "is too large; give at most 8192x8192")
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """Options of ``prtnet view``."""
+
+    model: Positional[Path]  # from prtnet train
+    scene: Positional[Path]  # the scene it was fitted to
+    clip: str | None = None  # the animation to start with; the scene's first when not given
+    light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
+    lobes: int = 3  # zonal lobes of the light, a colour; 0 for as many as hold it exactly
+    brdf: str = "matte"  # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file
+    factors: int = 8  # products that a BRDF is a sum of
+    size: tuple[int, int] = (1280, 800)  # of the window, in pixels
+    out: Path = Path()  # folder of saved pictures
+    rays: int = 512  # rays per receiver of the truth
+    threads: int | None = None  # CPU threads; all cores when not given
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        at_least("--rays", self.rays, 1)
+        at_least("--threads", self.threads, 1)
+        at_least("--lobes", self.lobes, 0)
+        at_least("--factors", self.factors, 1)
+        if self.lobes > MOST_LOBES or self.factors > MOST_FACTORS:
+            raise PrtnetError("--lobes and --factors", f"are at most {MOST_LOBES}, {MOST_FACTORS}")
         if max(self.size) > 8192:
             raise PrtnetError("--size", "is too large; give at most 8192x8192")
 

@@ -2,32 +2,53 @@
 
 from __future__ import annotations
 
-from prtnet.arrays import FloatArray
+from prtnet.arrays import FloatArray, IntArray
 from prtnet.dataset import Dataset
 from prtnet.frames import orthonormal_frames
 from prtnet.modelled_scene import ModelledScene
+from runtime.reflected import Side, Subject
 from runtime.shading import Surface, world_transfer
 
-__all__ = ["posed_surface", "recorded_surface"]
+__all__ = ["coloured_surface", "posed_subject", "recorded_surface"]
 
 
-def posed_surface(actor: ModelledScene, pose: FloatArray, visibility: FloatArray) -> Surface:
-    """The render mesh in one pose, with the transfer of its receivers on its vertices.
+def posed_subject(actor: ModelledScene, pose: FloatArray, visibility: FloatArray) -> Subject:
+    """The render mesh in one pose, with visibility and frames on its vertices, for any material.
 
     Args:
         actor: the scene and its receivers.
         pose: flattened, (1, D).
         visibility: local frames, (V, n²).
     """
-    transfer = world_transfer(visibility, actor.frames(pose)[0])
+    frames = actor.frames(pose)[0]
+    front, back = sides(actor)
+    return Subject(
+        actor.scene.geometry(pose).positions[0],
+        actor.scene.faces,
+        Side(visibility[front], frames[front]),
+        None if back is None else Side(visibility[back], frames[back]),
+    )
+
+
+def coloured_surface(actor: ModelledScene, pose: FloatArray, colours: FloatArray) -> Surface:
+    """The render mesh in one pose, with a colour (V, 3) of every receiver.
+
+    Its transfer is that colour: a light of π times the unit matrix shows it as it is.
+    """
+    front, back = sides(actor)
+    return Surface(
+        actor.scene.geometry(pose).positions[0],
+        actor.scene.faces,
+        colours[front],
+        None if back is None else colours[back],
+    )
+
+
+def sides(actor: ModelledScene) -> tuple[IntArray, IntArray | None]:
+    """Receivers of every vertex's front, and of its back where the model has one."""
     vertex = actor.receivers.of_vertex
     backs = int((actor.receivers.side < 0).sum())  # as many as fronts, or none
-    return Surface(
-        positions=actor.scene.geometry(pose).positions[0],
-        faces=actor.scene.faces,
-        transfer=transfer[vertex],
-        back_transfer=transfer[vertex + backs] if backs else None,
-    )
+    return vertex, vertex + backs if backs else None
 
 
 def recorded_surface(dataset: Dataset, row: int, visibility: FloatArray) -> Surface:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import functools
 import os
+import shutil
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 # Workers share the cores: before NumPy or torch read it, one thread each.
@@ -41,6 +44,32 @@ def gl_problem() -> str | None:
     except Exception as error:  # whatever the driver's loader throws is the answer
         return f"OpenGL 3.3 through EGL is not available ({error}); run scripts/system-gl.sh"
     return None
+
+
+@pytest.fixture(scope="session")
+def display() -> Iterator[str]:
+    """A virtual screen to open windows on."""
+    program = shutil.which("Xvfb")
+    if program is None:
+        problem = "Xvfb is not installed; run scripts/system-gl.sh"
+        if os.environ.get("PRTNET_REQUIRE_GL") == "1":
+            pytest.fail(problem)
+        pytest.skip(problem)
+    reader, writer = os.pipe()
+    options = ["-displayfd", str(writer), "-screen", "0", "1280x1024x24", "-nolisten", "tcp"]
+    server = subprocess.Popen([program, *options], pass_fds=[writer], stderr=subprocess.DEVNULL)
+    os.close(writer)
+    with os.fdopen(reader) as told:
+        name = f":{told.readline().strip()}"
+    before = os.environ.get("DISPLAY")
+    os.environ["DISPLAY"] = name
+    yield name
+    if before is None:
+        del os.environ["DISPLAY"]
+    else:
+        os.environ["DISPLAY"] = before
+    server.terminate()
+    server.wait()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -32,7 +32,8 @@ ALLOWED = {
     "runtime": {"prtnet", "runtime"},
 }
 # Commands drive all packages; a report, which trains and draws, is long enough for its own module.
-COMMAND_LINE = ("prtnet/cli.py", "prtnet/cli_report.py", "prtnet/cli_train.py")
+COMMANDS_OF = ("", "_render", "_report", "_train", "_view")
+COMMAND_LINE = tuple(f"prtnet/cli{name}.py" for name in COMMANDS_OF)
 FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
 FORBIDDEN_CALLS = {"eval", "exec", "torch.load", "pandas.read_pickle", "yaml.load"}
 

@@ -246,6 +246,42 @@ def test_render_beside_the_truth(work: Path, tmp_path: Path, renderer: str) -> N
     assert 0 < error["rms"] < 10
 
 
+@pytest.mark.parametrize("renderer", ["cpu", pytest.param("gl", marks=pytest.mark.gl)])
+def test_render_of_a_material_beside_its_truth(work: Path, tmp_path: Path, renderer: str) -> None:
+    report = tmp_path / "frame.json"
+    options = ("--time", "2", "--size", "80x60", "--rays", "64", "--quiet", "--renderer", renderer)
+    look = ("--brdf", "phong:exponent=4", "--light", "sky", "--light-turn", "90", "--lobes", "3")
+    scene = work / "arm.safetensors", work / "arm.glb"
+    errors = {}
+    for kind in ("truth", "visibility"):
+        out = ("--out", tmp_path / f"{kind}.png", "--json", report, "--compare", kind)
+        prtnet("render", *scene, *out, *look, *options)
+        facts = json.loads(report.read_text())
+        assert (facts["brdf"], facts["lobes"]) == ("phong:exponent=4", 3)
+        errors[kind] = facts["error_in_per_cent_of_white"]["rms"]
+    assert 0 < errors["visibility"] < errors["truth"] < 15
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "told"),
+    [
+        ("--brdf", "gild", "did you mean 'gold'"),
+        ("--brdf", "ggx:roughness=7", "at most 1"),
+        ("--light", "moon", "neither a file nor a preset"),
+        ("--lobes", "0", "at least 1"),
+        ("--lobes", "12", "at most 11"),
+        ("--factors", "99", "64"),
+    ],
+)
+def test_looks_that_there_are_none_of(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option, value, told
+) -> None:
+    scene = work / "arm.safetensors", work / "arm.glb"
+    message = failure(capsys, "render", *scene, "--out", tmp_path / "x.png", option, value)
+    assert told in message
+    assert not list(tmp_path.iterdir())
+
+
 def test_render_alone_has_the_size_asked_for(work: Path, tmp_path: Path) -> None:
     out = tmp_path / "frame.png"
     options = ("--size", "80x60", "--renderer", "cpu", "--light", "sky", "--quiet")
@@ -314,7 +350,7 @@ def test_slow_steps_report(work: Path, tmp_path: Path, monkeypatch: pytest.Monke
     picture = ("--out", tmp_path / "x.png", "--size", "40x30", "--renderer", "cpu", "--rays", "8")
     prtnet("render", *scene, *picture, "--compare", "truth", "--quiet")
     prtnet("evaluate", *scene, "--dump", tmp_path / "x.npz", "--fps", "1", "--rays", "8", "--quiet")
-    assert list(dict.fromkeys(told)) == ["tracing the truth", "dumped poses", "poses"]
+    assert list(dict.fromkeys(told)) == ["material", "tracing the truth", "dumped poses", "poses"]
 
 
 def test_demonstration(
@@ -366,7 +402,7 @@ BAD: list[tuple[Sequence[str], str]] = [
     (("evaluate", "arm.safetensors", "arm.glb", "--fps", "0"), "--fps: is 0"),
     (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--clip", "bnd"), "'bend'"),
     (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--time", "9"), "0 to 4 s"),
-    (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--light", "suno"), "'sunset'"),
+    (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--light", "suno"), "did you mean 'sun'"),
     (("generate", "arm.glb", "--out", "arm.glb"), "is also an input"),
     (("generate", "arm.glb", "--out", "x.zarr", "--seed", "-1"), "--seed: must be at least 0"),
     (("evaluate", "arm.safetensors", "arm.glb", "--fps", "inf"), "--fps: is inf"),

@@ -7,7 +7,8 @@ from data_gen.procedural import arm
 from prtnet.frames import rest_tangents
 from prtnet.modelled_scene import ModelledScene
 from prtnet.scene import SkinnedScene
-from runtime.posed_surface import posed_surface
+from runtime.posed_surface import coloured_surface, posed_subject
+from runtime.shading import world_transfer
 from tests.models import random_model
 
 
@@ -33,12 +34,29 @@ def test_open_vertices_face_along_their_normals(two_sided: bool) -> None:
     pose = actor.poses("bend", np.array([1.5]))
     visibility = np.zeros((len(actor.receivers), 9), dtype=np.float32)
     visibility[:, 0] = np.sqrt(4 * np.pi)
-    surface = posed_surface(actor, pose, visibility)
+    subject = posed_subject(actor, pose, visibility)
     geometry = scene.geometry(pose)
-    assert np.array_equal(surface.positions, geometry.positions[0])
-    assert axis(surface.transfer) == pytest.approx(geometry.normals[0], abs=1e-5)
+    assert np.array_equal(subject.positions, geometry.positions[0])
+    facing = [axis(world_transfer(side.visibility, side.frames)) for side in subject.sides]
+    assert facing[0] == pytest.approx(geometry.normals[0], abs=1e-5)
+    assert len(facing) == 1 + two_sided
     if two_sided:
-        assert surface.back_transfer is not None
-        assert axis(surface.back_transfer) == pytest.approx(-geometry.normals[0], abs=1e-5)
-    else:
-        assert surface.back_transfer is None
+        assert facing[1] == pytest.approx(-geometry.normals[0], abs=1e-5)
+
+
+@pytest.mark.parametrize("two_sided", [False, True])
+def test_colours_of_receivers_are_on_their_vertices(two_sided: bool) -> None:
+    scene = arm(segments=6)
+    actor = modelled(scene, two_sided)
+    pose = actor.poses("bend", np.array([1.5]))
+    # A receiver's colour is where it is, its blue which side that is of.
+    places = actor.geometry(pose).positions[0].copy()
+    places[:, 2] = actor.receivers.side
+    surface = coloured_surface(actor, pose, places)
+    positions = scene.geometry(pose).positions[0]
+    assert surface.transfer[:, :2] == pytest.approx(positions[:, :2], abs=1e-6)
+    assert (surface.transfer[:, 2] == 1).all()
+    assert (surface.back_transfer is not None) == two_sided
+    if surface.back_transfer is not None:
+        assert surface.back_transfer[:, :2] == pytest.approx(positions[:, :2], abs=1e-6)
+        assert (surface.back_transfer[:, 2] == -1).all()

@@ -1,0 +1,66 @@
+"""The work of ``prtnet view``: a window that plays a model on its scene.
+
+Like ``prtnet.cli``, which it serves, this module imports the other packages: the viewer shows the
+ray-traced truth beside the prediction.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from prtnet.environment import environment
+from prtnet.materials import BRDFS, brdf_named
+from prtnet.materials import PRESETS as MATERIALS
+from prtnet.model import VisibilityModel
+from prtnet.modelled_scene import ModelledScene
+from prtnet.presets import PRESETS as LIGHTS
+
+if TYPE_CHECKING:
+    from prtnet.arrays import FloatArray
+    from prtnet.cli_options import ViewOptions
+    from runtime.viewer import Viewer
+
+__all__ = ["opened_viewer"]
+
+
+def opened_viewer(
+    options: ViewOptions, threads: int, say: Callable[[str], None], visible: bool = True
+) -> Viewer:
+    """The window, ready to run.
+
+    Raises:
+        PrtnetError: model and scene do not belong together, there is no such clip, light or
+            material, or no window can be opened.
+    """
+    from data_gen.readers import read_scene, require_clips
+    from data_gen.visibility import trace_pose
+    from runtime.onnx_model import OnnxModel
+    from runtime.show import Show, View
+    from runtime.viewer import Viewer, open_window
+    from training.onnx_export import build_onnx
+
+    model = VisibilityModel.load(options.model)
+    environments = functools.cache(environment)
+    environments(options.light)
+    brdf_named(options.brdf)
+    scene = read_scene(options.scene)
+    require_clips(scene)
+    actor = ModelledScene(model, scene)
+    clip = scene.clip(options.clip) if options.clip else scene.clips[0]
+    predict = OnnxModel(build_onnx(model).SerializeToString(), threads)
+
+    def trace(pose: FloatArray) -> FloatArray:
+        return trace_pose(
+            scene, actor.receivers, actor.frame_field, pose, model.order, options.rays, threads
+        )[0]
+
+    window = open_window(f"prtnet: {options.model.name}", options.size, visible)
+    show = Show(window.ctx, actor, predict, trace, environments)
+    view = View(
+        clip.name, clip.start, options.light, lobes=options.lobes, brdf=options.brdf,
+        factors=options.factors,
+    )  # fmt: skip
+    lights, brdfs = list(LIGHTS), [*MATERIALS, *BRDFS]
+    return Viewer(window, show, view, lights, brdfs, options.out, say)

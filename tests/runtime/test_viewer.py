@@ -1,0 +1,222 @@
+"""A real window, on a virtual screen, driven by the events it would get from a person."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from data_gen.procedural import arm
+from prtnet.environment import environment
+from prtnet.errors import PrtnetError
+from runtime.draw import opened, render_material
+from runtime.picture import develop
+from runtime.posed_surface import posed_subject
+from runtime.show import MODES, Show, View
+from runtime.viewer import Viewer, open_window
+from tests.runtime.test_posed_surface import modelled
+
+pytestmark = [
+    pytest.mark.gl,
+    pytest.mark.filterwarnings("ignore:Importing PyGLM:PendingDeprecationWarning"),
+]
+
+SIZE = (160, 120)
+
+
+def shown(context, actor=None) -> Show:
+    actor = actor or modelled(arm(segments=6), two_sided=False)
+    truth = np.zeros((len(actor.receivers), actor.model.order**2), dtype=np.float32)
+    truth[:, 0] = np.sqrt(4 * np.pi)
+    return Show(context, actor, actor.model, lambda _: truth, environment)
+
+
+@pytest.fixture(scope="module")
+def window(display: str) -> Iterator[Any]:
+    """One for all: a process has one window."""
+    found = open_window("test", SIZE)
+    yield found
+    found.close()
+    found.destroy()
+
+
+@pytest.fixture
+def viewer(window: Any, tmp_path: Path) -> Iterator[Viewer]:
+    window.use()
+    window._window.set_size(*SIZE)
+    window._window.dispatch_events()
+    view = View("bend", brdf="phong")
+    found = Viewer(window, shown(window.ctx), view, ["studio", "sky"], ["matte", "gold"],
+                   tmp_path, lambda _: None)  # fmt: skip
+    found.playing = False
+    yield found
+    found.show.release()
+
+
+def send(viewer: Viewer, *event: Any) -> None:
+    """An event through the window's queue."""
+    viewer.window._window.dispatch_event(*event)
+    viewer.window._window.dispatch_events()
+
+
+def press(viewer: Viewer, *names: str) -> None:
+    """As the window system tells of keys."""
+    from pyglet.window import key
+
+    for name in names:
+        for kind in ("on_key_press", "on_key_release"):
+            send(viewer, kind, getattr(key, name), 0)
+
+
+def drag(viewer: Viewer, button: str, right: int, up: int) -> None:
+    """As the window system tells of a mouse, away from the panel."""
+    from pyglet.window import mouse
+
+    pressed = getattr(mouse, button)
+    for kind, rest in (
+        ("on_mouse_press", (pressed, 0)),
+        ("on_mouse_drag", (right, up, pressed, 0)),
+        ("on_mouse_release", (pressed, 0)),
+    ):
+        send(viewer, kind, 150, 10, *rest)
+
+
+def read(viewer: Viewer, path: Path) -> np.ndarray:
+    viewer.save(path)
+    return np.asarray(Image.open(path)).astype(int)
+
+
+def test_it_plays_until_it_is_told_to_stop(viewer):
+    viewer.playing = True
+    for _ in range(3):
+        viewer.step(0.1)
+    assert viewer.view.time == pytest.approx(0.3)
+    press(viewer, "SPACE")
+    viewer.step(0.1)
+    assert viewer.view.time == pytest.approx(0.3)
+    press(viewer, "RIGHT")
+    assert viewer.view.time == pytest.approx(0.3 + 1 / 30)
+    clip = viewer.show.actor.scene.clip("bend")
+    viewer.advance(clip.end - clip.start)  # around
+    assert viewer.view.time == pytest.approx(0.3 + 1 / 30)
+
+
+def test_the_window_shows_what_is_drawn_without_one(viewer, tmp_path):
+    show, view = viewer.show, viewer.view
+    show.screen.samples = 0  # one, in the middle of a pixel
+    show.operator(view, wait=True)
+    viewer.step(0.0)
+    seen = read(viewer, tmp_path / "seen.png")
+    assert seen.shape == (SIZE[1], SIZE[0], 3)
+    assert np.ptp(seen) > 60
+    pose, predicted = show.posed(view)
+    with opened("cpu") as renderer:
+        linear = render_material(
+            renderer, posed_subject(show.actor, pose, predicted), show.lit(view),
+            show.operator(view), show.camera(view), SIZE, samples=1,
+        )  # fmt: skip
+    assert linear[..., 3].mean() > 0.03
+    expected = develop(linear, show.base_exposure).astype(int)
+    assert np.mean(np.abs(seen - expected).max(axis=-1) <= 2) >= 0.999
+
+
+def test_light_material_and_camera_change_the_picture(viewer, tmp_path):
+    viewer.step(0.0)
+    pictures = [read(viewer, tmp_path / "0.png")]
+    view = viewer.view
+    before = view.azimuth, view.light_turn, view.distance
+    drag(viewer, "RIGHT", 120, 0)
+    assert view.light_turn == pytest.approx(60.0)
+    pictures.append(read(viewer, tmp_path / "1.png"))
+    drag(viewer, "LEFT", 100, 40)
+    assert view.azimuth != before[0]
+    pictures.append(read(viewer, tmp_path / "2.png"))
+    viewer.panel.set_checked("brdf", "gold")
+    viewer.show.operator(view, wait=True)
+    pictures.append(read(viewer, tmp_path / "3.png"))
+    send(viewer, "on_mouse_scroll", 150, 10, 0, 3)
+    assert view.distance < before[2]
+    pictures.append(read(viewer, tmp_path / "4.png"))
+    for one, other in itertools.pairwise(pictures):
+        assert np.abs(one - other).max() > 20
+    press(viewer, "R")
+    assert (view.azimuth, view.light_turn, view.distance, view.brdf) == (*before, "phong")
+
+
+def test_every_mode_shows_something_of_its_own(viewer, tmp_path):
+    viewer.show.operator(viewer.view, wait=True)
+    viewer.show.truth(viewer.view, wait=True)
+    pictures = []
+    for number, mode in enumerate(MODES, start=1):
+        press(viewer, f"_{number}")
+        assert viewer.view.left == mode
+        pictures.append(read(viewer, tmp_path / f"{mode}.png"))
+    for a in range(len(MODES)):
+        for b in range(a):
+            # The truth here is open everywhere.
+            same = {MODES[a], MODES[b]} == {"truth", "open"}
+            assert np.array_equal(pictures[a], pictures[b]) == same
+    press(viewer, "_1", "C")
+    viewer.view.right = "error"
+    split = read(viewer, tmp_path / "split.png")
+    half = SIZE[0] // 2
+    assert np.array_equal(split[:, :half], pictures[0][:, :half])
+    assert np.array_equal(split[:, half:], pictures[4][:, half:])
+
+
+def test_the_panel_draws_and_explains_the_keys(viewer):
+    press(viewer, "H")
+    for brdf in ("matte", "gold", "satin", "phong", "schlick"):
+        viewer.view.brdf = brdf
+        viewer.step(0.02)
+        assert viewer.view.brdf == brdf  # drawing sliders moves none
+    assert viewer.helping
+    viewer.view.split = 0.4
+    viewer.step(0.02)
+    viewer.window._window.set_size(200, 150)
+    send(viewer, "on_resize", 200, 150)
+    viewer.step(0.02)
+    assert viewer.window.buffer_size == (200, 150)
+
+
+def test_what_cannot_be_shown_is_said_and_left_as_it_was(viewer, tmp_path):
+    viewer.dropped(0, 0, [tmp_path / "none.binary"])
+    assert "does not exist" in viewer.message
+    assert viewer.view.brdf == "phong"
+    (tmp_path / "dark.hdr").write_bytes(b"#?RADIANCE\n")
+    viewer.dropped(0, 0, [tmp_path / "dark.hdr"])
+    assert "dark.hdr" in viewer.message
+    viewer.panel.set_checked("light", "moon")
+    assert viewer.view.light == "studio"
+    viewer.step(0.0)
+
+
+def test_a_turntable_is_a_row_of_pictures(viewer, tmp_path, monkeypatch):
+    monkeypatch.setattr("runtime.viewer.TURNTABLE", 3)
+    viewer.step(0.0)
+    press(viewer, "T")
+    files = sorted(path.name for path in tmp_path.glob("turn_*.png"))
+    assert files == [f"turn_000_{number:02d}.png" for number in range(3)]
+
+
+def test_no_display_is_told(monkeypatch):
+    import moderngl_window
+
+    def broken(_name: str) -> None:
+        raise RuntimeError('Cannot connect to "None"')
+
+    monkeypatch.setattr(moderngl_window, "get_local_window_cls", broken)
+    with pytest.raises(PrtnetError, match=r"cannot open a window .*prtnet render"):
+        open_window("test", SIZE)
+
+
+def test_without_the_extra_it_is_told_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "imgui_bundle", None)
+    with pytest.raises(PrtnetError, match=r"pip install 'prtnet\[viewer\]'"):
+        open_window("test", SIZE)
