@@ -37,7 +37,7 @@ from prtnet.sh_rotation import band_inverses, checked_rotation, sample_direction
 __all__ = ["Lobes", "exact_lobes", "fewest_lobes", "fit_lobes", "relative_error"]
 
 CANDIDATES = 1500  # axes tried for a further lobe, as in [2]
-STARTS = 64  # scattered sets of axes to search from, beside the greedy ones
+STARTS = 64
 # Lobes that meet represent a derivative with coefficients without bounds, of opposite sign. This
 # times ‖g*‖² in the objective keeps them below a thousand times the function's own.
 RIDGE = 1e-6
@@ -86,7 +86,7 @@ def synthesis(basis: FloatArray, coefficients: FloatArray) -> FloatArray:
     return np.asarray((basis * coefficients[..., band]).sum(axis=-2))
 
 
-def fit_lobes(target: FloatArray, count: int = 3) -> Lobes:
+def fit_lobes(target: FloatArray, count: int = 3, starts: int = STARTS) -> Lobes:
     """The sums of ``count`` lobes nearest to functions, each function by itself.
 
     Deterministic, and never worse than ``count`` − 1 lobes or than greedy search by more than
@@ -96,6 +96,8 @@ def fit_lobes(target: FloatArray, count: int = 3) -> Lobes:
     Args:
         target: f, (..., n²): a colour channel each, say.
         count: number of lobes N, at least 1.
+        starts: scattered sets of axes to search from, beside the greedy ones. For lights, the
+            more the safer; for thousands of transfer vectors a few are a matter of time.
 
     Returns:
         Axes (..., N, 3) and coefficients (..., N, n), in the dtype of ``target``.
@@ -105,7 +107,7 @@ def fit_lobes(target: FloatArray, count: int = 3) -> Lobes:
     """
     if count < 1:
         raise ValueError(f"a fit needs at least one lobe, not {count}")
-    return next(islice(growing_fits(target), count - 1, None))
+    return next(islice(growing_fits(target, starts), count - 1, None))
 
 
 def fewest_lobes(target: FloatArray, most: int, error: float) -> Lobes:
@@ -118,7 +120,7 @@ def fewest_lobes(target: FloatArray, most: int, error: float) -> Lobes:
     """
     if most < 1:
         raise ValueError(f"a fit needs at least one lobe, not {most}")
-    for lobes in islice(growing_fits(target), most):
+    for lobes in islice(growing_fits(target, STARTS), most):
         if relative_error(target, lobes) <= error:
             break
     return lobes
@@ -157,7 +159,7 @@ def relative_error(target: FloatArray, lobes: Lobes) -> float:
     return error / size if error > 0 else 0.0
 
 
-def growing_fits(target: FloatArray) -> Iterator[Lobes]:
+def growing_fits(target: FloatArray, starts: int) -> Iterator[Lobes]:
     """Fits of 1, 2, 3, … lobes; each search also starts from the fit before and a further lobe."""
     values, dtype = checked(target)
     order = order_of(values)
@@ -166,7 +168,9 @@ def growing_fits(target: FloatArray) -> Iterator[Lobes]:
     unit = flat / largest
     length = np.linalg.norm(unit, axis=-1, keepdims=True)
     unit /= np.where(length == 0, 1.0, length)
-    searches = [Search(unit[first : first + BLOCK]) for first in range(0, max(len(unit), 1), BLOCK)]
+    searches = [
+        Search(unit[first : first + BLOCK], starts) for first in range(0, max(len(unit), 1), BLOCK)
+    ]
     while True:
         axes = np.concatenate([search.grown() for search in searches])
         lobes = in_order(axes, best_coefficients(evaluate(axes, order), unit))
@@ -181,8 +185,8 @@ def growing_fits(target: FloatArray) -> Iterator[Lobes]:
 class Search:
     """The growing fit of a block of unit vectors f, (B, n²)."""
 
-    def __init__(self, target: FloatArray) -> None:
-        self.target = target
+    def __init__(self, target: FloatArray, starts: int) -> None:
+        self.target, self.starts = target, starts
         self.order = order_of(target)
         self.axes: FloatArray = np.empty((len(target), 0, 3))
         self.greedy_axes: FloatArray = self.axes
@@ -200,10 +204,10 @@ class Search:
             last, best_coefficients(last, self.greedy_rest)
         )
         if count > 1:  # the candidates have seen the whole sphere for a single lobe
-            scattered = np.random.default_rng(count).normal(size=(STARTS, count, 3))
+            scattered = np.random.default_rng(count).normal(size=(self.starts, count, 3))
             starts += [
                 self.greedy_axes,
-                *np.broadcast_to(scattered[:, None], (STARTS, len(self.target), count, 3)),
+                *np.broadcast_to(scattered[:, None], (self.starts, len(self.target), count, 3)),
             ]
         axes = np.stack(starts, axis=1)  # [B, S, N, 3]
         if axes.shape[1] > KEPT:

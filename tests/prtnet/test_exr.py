@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -84,3 +85,13 @@ def test_cropped_pictures_are_refused(tmp_path):
     window = (np.array([0, 0], np.int32), np.array([23, 11], np.int32))
     message = refused(write(tmp_path / "a.exr", {"RGB": PICTURE}, displayWindow=window))
     assert "cropped" in message
+
+
+def test_channels_of_fewer_pixels_are_refused(tmp_path):
+    path = write(tmp_path / "a.exr", {"RGB": PICTURE})
+    data = path.read_bytes()
+    # In the list of channels: name, type 2 (float), four bytes, then the sampling along x and y.
+    whole = b"G\0" + struct.pack("<4i", 2, 0, 1, 1)
+    assert data.count(whole) == 1
+    path.write_bytes(data.replace(whole, b"G\0" + struct.pack("<4i", 2, 0, 2, 1)))
+    assert "fewer pixels" in refused(path)

@@ -162,6 +162,13 @@ def test_fits_are_independent_of_what_is_fitted_beside_them():
         np.testing.assert_allclose(fit.coefficients[place], alone.coefficients, atol=1e-6)
 
 
+def test_further_starts_only_help():
+    target = np.random.default_rng(11).normal(size=(20, 25))
+    errors = [relative_error(target, fit_lobes(target, 2, starts)) for starts in (0, 4, 64)]
+    assert errors[0] > errors[1] + 1e-3
+    assert errors[1] > errors[2] + 1e-3
+
+
 def test_a_fit_in_blocks_is_the_same(monkeypatch):
     target = np.random.default_rng(2).normal(size=(5, 9))
     whole = fit_lobes(target, 2)
