@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from prtnet.environment import environment
+from prtnet.gpu_tables import gpu_tables
 from prtnet.materials import BRDFS, brdf_named
 from prtnet.materials import PRESETS as MATERIALS
 from prtnet.model import VisibilityModel
@@ -36,10 +37,10 @@ def opened_viewer(
     """
     from data_gen.readers import read_scene, require_clips
     from data_gen.visibility import trace_pose
-    from runtime.onnx_model import OnnxModel
+    from runtime.onnx_model import OnnxLatents, OnnxModel
     from runtime.show import Show, View
     from runtime.viewer import Viewer, open_window
-    from training.onnx_export import build_onnx
+    from training.onnx_export import build_latent_onnx, build_onnx
 
     model = VisibilityModel.load(options.model)
     environments = functools.cache(environment)
@@ -56,8 +57,12 @@ def opened_viewer(
             scene, actor.receivers, actor.frame_field, pose, model.order, options.rays, threads
         )[0]
 
+    latents = None
+    if model.prior is None and model.latents.sum() > 0:
+        graph = build_latent_onnx(model, gpu_tables(model).latent_scale)
+        latents = OnnxLatents(graph.SerializeToString(), threads)
     window = open_window(f"prtnet: {options.model.name}", options.size, visible)
-    show = Show(window.ctx, actor, predict, trace, environments)
+    show = Show(window.ctx, actor, predict, trace, environments, latents)
     view = View(
         clip.name, clip.start, options.light, lobes=options.lobes, brdf=options.brdf,
         factors=options.factors,

@@ -1,12 +1,14 @@
 """The vertex shader of any material: GLSL 3.30, nothing beyond WebGL 2's reach.
 
 One source for every BRDF: an operator is a texture of numbers. Lobes of light are turned into the
-vertex's frame by turning their axes; visibility comes from a texture, four coefficients a texel.
-Spherical harmonics are written out for the order, from the constants of :mod:`prtnet.sh`.
+vertex's frame by turning their axes. Visibility comes from a texture, four coefficients a texel, or
+is rebuilt from a model's latents by the GLSL that is exported for engines. Spherical harmonics are
+written out for the order, from the constants of :mod:`prtnet.sh`.
 """
 
 from __future__ import annotations
 
+from prtnet.gpu_tables import GPUTables, glsl
 from prtnet.sh import polynomial
 from runtime.reflected import LOWEST
 
@@ -18,7 +20,6 @@ VERTEX_SHADER = """#version 330
 const int COEFFICIENTS = $COEFFICIENTS;
 const int ORDER = $ORDER;
 const int TEXELS = (COEFFICIENTS + 3) / 4;
-const int COLUMNS = $COLUMNS;  // vertices in a row of a texture of visibility
 
 uniform mat4 view_projection;
 uniform vec3 eye;
@@ -30,8 +31,6 @@ uniform int factors;
 uniform int view_coefficients;
 uniform highp sampler2D matrices;  // M^b: a row of texels for each row of each factor
 uniform highp sampler2D view_factors;  // w^b: a texel for each coefficient, a row for each factor
-uniform highp sampler2D front_visibility;
-uniform highp sampler2D back_visibility;
 
 in vec3 position;
 in vec3 front_tangent;
@@ -42,7 +41,8 @@ out vec3 front;
 out vec3 back;
 
 $HARMONICS
-vec3 radiance(highp sampler2D visibility, vec3 tangent, vec3 normal) {
+$VISIBILITY
+vec3 radiance(bool behind, vec3 tangent, vec3 normal) {
     mat3 frame = mat3(tangent, cross(normal, tangent), normal);
     float light[3 * COEFFICIENTS];
     float y[COEFFICIENTS];
@@ -58,12 +58,8 @@ vec3 radiance(highp sampler2D visibility, vec3 tangent, vec3 normal) {
             }
         }
     }
-    float v[4 * TEXELS];
-    ivec2 first = ivec2((gl_VertexID % COLUMNS) * TEXELS, gl_VertexID / COLUMNS);
-    for (int k = 0; k < TEXELS; ++k) {
-        vec4 texel = texelFetch(visibility, first + ivec2(k, 0), 0);
-        for (int j = 0; j < 4; ++j) v[4 * k + j] = texel[j];
-    }
+    vec4 v[TEXELS];
+    visibility(behind, v);
     vec3 view = normalize(eye - position) * frame;
     view = normalize(vec3(view.xy, max(view.z, $LOWEST)));
     harmonics(view, y);
@@ -72,10 +68,8 @@ vec3 radiance(highp sampler2D visibility, vec3 tangent, vec3 normal) {
         vec3 lit = vec3(0.0);
         for (int i = 0; i < COEFFICIENTS; ++i) {
             float product = 0.0;
-            for (int k = 0; k < TEXELS; ++k) {
-                vec4 m = texelFetch(matrices, ivec2(k, b * COEFFICIENTS + i), 0);
-                product += dot(m, vec4(v[4 * k], v[4 * k + 1], v[4 * k + 2], v[4 * k + 3]));
-            }
+            for (int k = 0; k < TEXELS; ++k)
+                product += dot(texelFetch(matrices, ivec2(k, b * COEFFICIENTS + i), 0), v[k]);
             lit += product * vec3(light[i], light[COEFFICIENTS + i], light[2 * COEFFICIENTS + i]);
         }
         vec3 seen = vec3(0.0);
@@ -87,9 +81,33 @@ vec3 radiance(highp sampler2D visibility, vec3 tangent, vec3 normal) {
 }
 
 void main() {
-    front = radiance(front_visibility, front_tangent, front_normal);
-    back = two_sided ? radiance(back_visibility, back_tangent, back_normal) : front;
+    front = radiance(false, front_tangent, front_normal);
+    back = two_sided ? radiance(true, back_tangent, back_normal) : front;
     gl_Position = view_projection * vec4(position, 1.0);
+}
+"""
+
+GIVEN = """
+const int COLUMNS = $COLUMNS;  // vertices in a row of a texture of visibility
+uniform highp sampler2D front_visibility;
+uniform highp sampler2D back_visibility;
+
+void visibility(bool behind, out vec4 v[TEXELS]) {
+    ivec2 first = ivec2((gl_VertexID % COLUMNS) * TEXELS, gl_VertexID / COLUMNS);
+    for (int k = 0; k < TEXELS; ++k) {
+        ivec2 place = first + ivec2(k, 0);
+        v[k] = behind ? texelFetch(back_visibility, place, 0)
+                      : texelFetch(front_visibility, place, 0);
+    }
+}
+"""
+
+REBUILT = """
+in int front_receiver;
+in int back_receiver;
+
+void visibility(bool behind, out vec4 v[TEXELS]) {
+    prtnet_visibility(behind ? back_receiver : front_receiver, v);
 }
 """
 
@@ -104,14 +122,16 @@ void main() {
 """
 
 
-def vertex_shader(order: int, columns: int) -> str:
+def vertex_shader(order: int, columns: int, tables: GPUTables | None = None) -> str:
     """The shader for visibility of an order.
 
     Args:
         order: bands n.
         columns: vertices in a row of the textures of visibility.
+        tables: of a model, to rebuild visibility from its latents.
     """
     words = {
+        "$VISIBILITY": GIVEN if tables is None else glsl(tables) + REBUILT,
         "$COEFFICIENTS": str(order**2),
         "$ORDER": str(order),
         "$COLUMNS": str(columns),

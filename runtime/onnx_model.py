@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -12,7 +13,35 @@ import onnxruntime
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 
-__all__ = ["OnnxModel"]
+__all__ = ["OnnxLatents", "OnnxModel"]
+
+
+class OnnxLatents:
+    """The graph of a model's latents alone, run by onnxruntime on the CPU: see ``prtnet export``.
+
+    Args:
+        model: bytes of the graph.
+        threads: of onnxruntime; all cores when None.
+    """
+
+    def __init__(self, model: bytes, threads: int | None = None) -> None:
+        self.session = onnxruntime.InferenceSession(
+            model, session_options(threads), providers=["CPUExecutionProvider"]
+        )
+
+    def __call__(self, poses: FloatArray) -> FloatArray:
+        """Latents (P, Σ latents) of flattened poses (P, D)."""
+        feed = {"pose": np.ascontiguousarray(poses, dtype=np.float32)}
+        return self.session.run(["latents"], feed)[0]
+
+
+def session_options(threads: int | None) -> Any:
+    """Of onnxruntime: quiet, so many threads, or all cores."""
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.intra_op_num_threads = threads or 0
+    options.inter_op_num_threads = 1
+    return options
 
 
 class OnnxModel:
@@ -28,16 +57,12 @@ class OnnxModel:
 
     def __init__(self, model: str | Path | bytes, threads: int | None = None) -> None:
         name = "ONNX model" if isinstance(model, bytes) else str(model)
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3
-        options.intra_op_num_threads = threads or 0
-        options.inter_op_num_threads = 1
         if not isinstance(model, bytes) and not Path(model).is_file():
             raise PrtnetError(name, "does not exist; run `prtnet export` first")
         try:
             self.session = onnxruntime.InferenceSession(
                 model if isinstance(model, bytes) else str(model),
-                options,
+                session_options(threads),
                 providers=["CPUExecutionProvider"],
             )
         except Exception as error:  # onnxruntime raises types of its own, from C++

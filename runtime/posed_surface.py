@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.dataset import Dataset
 from prtnet.frames import orthonormal_frames
@@ -9,18 +11,22 @@ from prtnet.modelled_scene import ModelledScene
 from runtime.reflected import Side, Subject
 from runtime.shading import Surface, world_transfer
 
-__all__ = ["coloured_surface", "posed_subject", "recorded_surface"]
+__all__ = ["coloured_surface", "posed_subject", "recorded_surface", "sides"]
 
 
-def posed_subject(actor: ModelledScene, pose: FloatArray, visibility: FloatArray) -> Subject:
+def posed_subject(
+    actor: ModelledScene, pose: FloatArray, visibility: FloatArray | None = None
+) -> Subject:
     """The render mesh in one pose, with visibility and frames on its vertices, for any material.
 
     Args:
         actor: the scene and its receivers.
         pose: flattened, (1, D).
-        visibility: local frames, (V, n²).
+        visibility: local frames, (V, n²); sides have none when not given.
     """
     frames = actor.frames(pose)[0]
+    if visibility is None:
+        visibility = np.zeros((len(frames), 0), dtype=np.float32)
     front, back = sides(actor)
     return Subject(
         actor.scene.geometry(pose).positions[0],

@@ -19,6 +19,7 @@ import numpy as np
 
 from prtnet.arrays import FloatArray
 from prtnet.environment import Environment
+from prtnet.gpu_tables import gpu_tables
 from prtnet.materials import brdf_named, material
 from prtnet.modelled_scene import ModelledScene
 from prtnet.reflection import ReflectionOperator
@@ -27,7 +28,7 @@ from runtime.camera import Camera
 from runtime.error_pictures import error_scale, vertex_error
 from runtime.painted import Painted
 from runtime.picture import auto_exposure, colour_map
-from runtime.posed_surface import coloured_surface, posed_subject
+from runtime.posed_surface import coloured_surface, posed_subject, sides
 from runtime.screen import Screen
 from runtime.stage import Stage
 
@@ -94,6 +95,8 @@ class Show:
         predict: poses (P, D) to visibility (P, V, n²).
         trace: the truth of one pose (1, D), (V, n²); runs in a thread of its own.
         environments: lights by name.
+        latents: poses (P, D) to latents (P, Σ latents) as a shader wants them, where predictions
+            are to be rebuilt on the GPU; not for models with a prior.
 
     Attributes:
         milliseconds: of the stages of the last frame, by name.
@@ -106,12 +109,16 @@ class Show:
         predict: Callable[[FloatArray], FloatArray],
         trace: Callable[[FloatArray], FloatArray],
         environments: Callable[[str], Environment],
+        latents: Callable[[FloatArray], FloatArray] | None = None,
     ) -> None:
         self.context, self.actor = context, actor
         self.predict, self.trace, self.environments = predict, trace, environments
         self.order = actor.model.order
         self.stage, self.screen = Stage(context, self.order), Screen(context)
         self.painted = Painted(context)
+        self.latents, self.rebuilt = latents, None
+        if latents is not None:
+            self.rebuilt = Stage(context, self.order, gpu_tables(actor.model))
         self.milliseconds: dict[str, float] = {}
         self.base_exposure: float | None = None
         self.framing: Camera | None = None
@@ -120,7 +127,8 @@ class Show:
         self._material: tuple[Any, Future[ReflectionOperator]] | None = None
         self._operator: ReflectionOperator | None = None
         self._lit: tuple[Any, Lobes] | None = None
-        self._posed: tuple[Any, FloatArray, FloatArray] | None = None
+        self._posed: tuple[Any, FloatArray] | None = None
+        self._predicted: tuple[Any, FloatArray] | None = None
         white = np.zeros((self.order**2, 3))
         white[0] = math.sqrt(4.0 * math.pi)
         self._white = exact_lobes(white.T)
@@ -137,8 +145,9 @@ class Show:
     def release(self) -> None:
         """Give everything back but the context; what is being traced is waited for."""
         self._workers.shutdown(cancel_futures=True)
-        for held in (self.stage, self.screen, self.painted):
-            held.release()
+        for held in (self.stage, self.rebuilt, self.screen, self.painted):
+            if held is not None:
+                held.release()
 
     def camera(self, view: View) -> Camera:
         """Where a view is from: what frames the first clip, walked around."""
@@ -188,8 +197,12 @@ class Show:
         self, mode: Mode, view: View, camera: Camera, size: tuple[int, int], frame: Any
     ) -> None:
         """One side of the split."""
-        pose, predicted = self.posed(view)
-        matrix = camera.matrix(size[0] / size[1])
+        pose, matrix = self.pose(view), camera.matrix(size[0] / size[1])
+        eye = np.asarray(camera.eye)
+        if mode == "prediction" and self.rebuilt is not None:
+            self._draw_latents(self.rebuilt, view, frame, matrix, eye)
+            return
+        predicted = self.predicted(view)
         truth = self.truth(view) if mode in ("truth", "error") else None
         if mode == "error" and truth is not None:
             wrong = 100.0 * vertex_error(predicted, truth)
@@ -209,25 +222,50 @@ class Show:
         subject = posed_subject(self.actor, pose, visibility)
         self.milliseconds["pose"] = 1e3 * (clock.perf_counter() - started)
         self.stage.show(subject)
-        self.stage.draw(frame, matrix, np.asarray(camera.eye))
+        self.stage.draw(frame, matrix, eye)
         self.milliseconds |= self.stage.milliseconds
 
-    def posed(self, view: View) -> tuple[FloatArray, FloatArray]:
-        """The pose (1, D) and its predicted visibility (V, n²)."""
+    def _draw_latents(
+        self, stage: Stage, view: View, frame: Any, matrix: FloatArray, eye: FloatArray
+    ) -> None:
+        """The prediction, its visibility rebuilt on the GPU."""
+        assert self.latents is not None
+        stage.light(self.lit(view))
+        stage.material(self.operator(view))
+        pose = self.pose(view)
+        started = clock.perf_counter()
+        latents = self.latents(pose)[0]
+        self.milliseconds["model"] = 1e3 * (clock.perf_counter() - started)
+        started = clock.perf_counter()
+        subject = posed_subject(self.actor, pose)
+        self.milliseconds["pose"] = 1e3 * (clock.perf_counter() - started)
+        front, back = sides(self.actor)
+        stage.show_latents(subject, latents, [front] if back is None else [front, back])
+        stage.draw(frame, matrix, eye)
+        self.milliseconds |= stage.milliseconds
+
+    def pose(self, view: View) -> FloatArray:
+        """The pose of a view, (1, D)."""
         key = (view.clip, view.time)
         if self._posed is None or self._posed[0] != key:
-            pose = self.actor.poses(view.clip, np.array([view.time]))
+            self._posed = key, self.actor.poses(view.clip, np.array([view.time]))
+        return self._posed[1]
+
+    def predicted(self, view: View) -> FloatArray:
+        """Its predicted visibility, (V, n²)."""
+        key = (view.clip, view.time)
+        if self._predicted is None or self._predicted[0] != key:
+            pose = self.pose(view)
             started = clock.perf_counter()
-            predicted = self.predict(pose)[0]
+            self._predicted = key, self.predict(pose)[0]
             self.milliseconds["model"] = 1e3 * (clock.perf_counter() - started)
-            self._posed = key, pose, predicted
-        return self._posed[1], self._posed[2]
+        return self._predicted[1]
 
     def truth(self, view: View, wait: bool = False) -> FloatArray | None:
         """The true visibility (V, n²) of the pose, traced in the background; None until then."""
         key = (view.clip, view.time)
         if self._truth is None or (self._truth[0] != key and self._truth[1].done()):
-            self._truth = key, self._workers.submit(self.trace, self.posed(view)[0])
+            self._truth = key, self._workers.submit(self.trace, self.pose(view))
         if wait and self._truth[0] != key:
             self._truth[1].result()
             return self.truth(view, wait)

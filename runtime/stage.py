@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import moderngl
 import numpy as np
 
-from prtnet.arrays import FloatArray
+from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
+from prtnet.gpu_tables import WIDTH, GPUTables
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
 from runtime.material_shader import FRAGMENT_SHADER, MOST_LOBES, vertex_shader
@@ -24,6 +26,18 @@ __all__ = ["Stage"]
 
 TEXTURE_WIDTH = 2048  # texels; every WebGL 2 device has at least this
 SIDES = ("front", "back")
+TEXTURES = (
+    "matrices", "view_factors", "front_visibility", "back_visibility", "prtnet_rows",
+    "prtnet_receivers", "prtnet_latents",
+)  # fmt: skip
+UPLOADS = {  # dtype and internal format; signed normalised bytes moderngl would make unsigned
+    "int8": ("ni1", 0x8F97),
+    "float16": ("f2", None),
+    "float32": ("f4", None),
+    "uint32": ("u4", None),
+}
+STAY = ("matrices", "view_factors", "prtnet_rows", "prtnet_receivers", "prtnet_latents")
+"""Whatever the mesh is."""
 
 
 class Stage:
@@ -32,32 +46,37 @@ class Stage:
     Args:
         context: that everything lives in; it must be current.
         order: bands n of visibility.
+        tables: of a model, whose latents subjects are then shown with.
 
     Attributes:
         milliseconds: of the last ``show`` (on the CPU) and ``draw`` (on the GPU, where it has
             timers), by name.
     """
 
-    def __init__(self, context: moderngl.Context, order: int) -> None:
+    def __init__(
+        self, context: moderngl.Context, order: int, tables: GPUTables | None = None
+    ) -> None:
         self.context, self.order = context, order
         self.texels = -(-(order**2) // 4)
         self.columns = TEXTURE_WIDTH // self.texels
         self.program: Any = context.program(
-            vertex_shader=vertex_shader(order, self.columns), fragment_shader=FRAGMENT_SHADER
+            vertex_shader=vertex_shader(order, self.columns, tables),
+            fragment_shader=FRAGMENT_SHADER,
         )
         self.milliseconds: dict[str, float] = {}
         self._held: dict[str, Any] = {}
         self._mesh: Any = None
         self._shape: tuple[int, int, bool] | None = None
         self._material: ReflectionOperator | None = None
+        self._latents: Any = None
         try:
             self._timer: Any = context.query(time=True)
         except Exception:  # some OpenGL has no timer queries: it draws all the same
             self._timer = None
-        for unit, name in enumerate(
-            ("front_visibility", "back_visibility", "matrices", "view_factors")
-        ):
+        for unit, name in enumerate(TEXTURES):
             self._set(name, unit)
+        if tables is not None:
+            self._take(tables)
 
     def release(self) -> None:
         """Give everything back but the context."""
@@ -87,14 +106,48 @@ class Stage:
         for name, side in zip(SIDES, subject.sides, strict=False):
             pair = side.frames[..., [0, 2]].swapaxes(1, 2)  # tangent, then normal
             self._held[f"{name}_frames"].write(np.ascontiguousarray(pair, dtype="f4"))
-            self._held[f"{name}_visibility"].write(self._padded(side, rows))
+            if self._latents is None:
+                self._held[f"{name}_visibility"].write(self._padded(side, rows))
         self.milliseconds["upload"] = 1e3 * (time.perf_counter() - started)
+
+    def _take(self, tables: GPUTables) -> None:
+        """Put a model's tables on the GPU."""
+        latents = np.zeros((max(1, -(-len(tables.latent_scale) // WIDTH)), WIDTH, 1), dtype="f4")
+        arrays = {"rows": tables.rows, "receivers": tables.receivers, "latents": latents}
+        for name, array in arrays.items():
+            upload, internal = UPLOADS[array.dtype.name]
+            texture = self.context.texture(
+                array.shape[1::-1], array.shape[2], np.ascontiguousarray(array), dtype=upload,
+                internal_format=internal,
+            )  # fmt: skip
+            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            self._held[f"prtnet_{name}"] = texture
+        self._latents = latents
+
+    def show_latents(
+        self, subject: Subject, latents: FloatArray, receivers: Sequence[IntArray]
+    ) -> None:
+        """Take a pose of the model whose tables this has; visibility is rebuilt on the GPU.
+
+        Args:
+            subject: vertices and frames; visibility is not looked at.
+            latents: from the graph of latents alone, (Σ latents,).
+            receivers: of every vertex's front, and of its back if there is one, (V,) each.
+        """
+        assert self._latents is not None
+        self.show(subject)
+        started = time.perf_counter()
+        for name, own in zip(SIDES, receivers, strict=False):
+            self._held[f"{name}_receivers"].write(np.ascontiguousarray(own, dtype="i4"))
+        self._latents.ravel()[: len(latents)] = latents
+        self._held["prtnet_latents"].write(self._latents)
+        self.milliseconds["upload"] += 1e3 * (time.perf_counter() - started)
 
     def _allocate(self, subject: Subject, shape: tuple[int, int, bool], rows: int) -> None:
         """Buffers and textures of a new mesh."""
         count, _, both = shape
         held = self._held
-        for name in [name for name in held if name not in ("matrices", "view_factors")]:
+        for name in [name for name in held if name not in STAY]:
             held.pop(name).release()
         if self._mesh is not None:
             self._mesh.release()
@@ -102,15 +155,23 @@ class Stage:
         held["positions"] = self.context.buffer(reserve=max(1, 12 * count))
         for name in SIDES if both else SIDES[:1]:
             held[f"{name}_frames"] = self.context.buffer(reserve=max(1, 24 * count))
-            size = (self.columns * self.texels, max(1, rows))
-            held[f"{name}_visibility"] = self._texture(size)
-        back = held.get("back_frames", held["front_frames"])
+            if self._latents is None:
+                size = (self.columns * self.texels, max(1, rows))
+                held[f"{name}_visibility"] = self._texture(size)
+            else:
+                held[f"{name}_receivers"] = self.context.buffer(reserve=max(1, 4 * count))
+        seen = "front", "back" if both else "front"
         self._mesh = self.context.vertex_array(
             self.program,
             [
                 *self._attributes(held["positions"], "position"),
                 *self._attributes(held["front_frames"], "front_tangent", "front_normal"),
-                *self._attributes(back, "back_tangent", "back_normal"),
+                *self._attributes(held[f"{seen[1]}_frames"], "back_tangent", "back_normal"),
+                *(
+                    (held[f"{own}_receivers"], "1i", f"{name}_receiver")
+                    for name, own in zip(SIDES, seen, strict=True)
+                    if f"{name}_receiver" in self.program
+                ),
             ],
             held["faces"],
         )
@@ -196,12 +257,10 @@ class Stage:
         self.context.enable_only(moderngl.DEPTH_TEST)
         self._set("view_projection", np.asarray(matrix).T)
         self._set("eye", np.asarray(eye))
-        front = self._held["front_visibility"]
-        textures = (front, self._held.get("back_visibility", front))
-        for unit, texture in enumerate(
-            (*textures, self._held["matrices"], self._held["view_factors"])
-        ):
-            texture.use(unit)
+        for unit, name in enumerate(TEXTURES):
+            texture = self._held.get(name) or self._held.get("front_visibility")
+            if texture is not None:
+                texture.use(unit)
         with self._timer or contextlib.nullcontext():
             self._mesh.render(moderngl.TRIANGLES)
         if self._timer is not None:

@@ -402,7 +402,10 @@ BAD: list[tuple[Sequence[str], str]] = [
     (("evaluate", "arm.safetensors", "arm.glb", "--fps", "0"), "--fps: is 0"),
     (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--clip", "bnd"), "'bend'"),
     (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--time", "9"), "0 to 4 s"),
-    (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--light", "suno"), "did you mean 'sun'"),
+    (
+        ("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--light", "suno"),
+        "did you mean 'sun'",
+    ),
     (("generate", "arm.glb", "--out", "arm.glb"), "is also an input"),
     (("generate", "arm.glb", "--out", "x.zarr", "--seed", "-1"), "--seed: must be at least 0"),
     (("evaluate", "arm.safetensors", "arm.glb", "--fps", "inf"), "--fps: is inf"),

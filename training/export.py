@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from prtnet.files import writing
+from prtnet.gpu_tables import COUNT_BITS, FORMATS, WIDTH, gpu_tables, write_gpu_tables
 from prtnet.model import VisibilityModel
 from prtnet.output_space import OutputSpace
-from training.gpu_tables import COUNT_BITS, FORMATS, WIDTH, gpu_tables, write_gpu_tables
 from training.onnx_export import export_latent_onnx, export_onnx
 
 __all__ = ["export_folder"]

@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 
 from prtnet.errors import PrtnetError
+from prtnet.gpu_tables import gpu_tables
 from prtnet.materials import brdf_named, material
 from prtnet.reflection import ReflectionOperator
+from prtnet.storage import STORAGES
 from prtnet.zh import Lobes, exact_lobes
 from runtime import stage as module
 from runtime.draw import opened, render_material
 from runtime.gl import GLRenderer, create_context
 from runtime.material_shader import MOST_LOBES
 from runtime.picture import srgb_encode
-from runtime.reflected import Subject
+from runtime.reflected import Side, Subject
 from runtime.stage import Stage
+from tests.models import random_model, random_poses
 from tests.runtime.scenes import knot_subject, sky, three_quarters
 
 pytestmark = pytest.mark.gl
@@ -113,3 +116,47 @@ def test_it_draws_without_timers(monkeypatch):
 
     monkeypatch.setattr(moderngl.Context, "query", none)
     assert np.array_equal(drawn("gl", subject, lobes, operator), with_timer)
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("two_sided", [False, True])
+def test_visibility_is_rebuilt_from_latents(two_sided, storage):
+    """As from the model's own visibility, whatever it is stored in."""
+    model = random_model(receivers=700, clusters=7, parts=2).stored_as(storage)
+    tables = gpu_tables(model)
+    pose = random_poses(1, 5)
+    visibility = model(pose)[0]
+    latent = model.latent(pose)[0]
+    used = np.arange(latent.shape[1]) < model.latents[:, None]
+    latents = latent[used] * tables.latent_scale
+    knot = knot_subject(model.order, two_sided)
+    rng = np.random.default_rng(3)
+    receivers = [rng.integers(0, 700, len(knot.positions)) for _ in knot.sides]
+    sides = [
+        Side(visibility[own], side.frames) for own, side in zip(receivers, knot.sides, strict=True)
+    ]
+    subject = Subject(knot.positions, knot.faces, *sides)
+    lobes, operator = exact_lobes(sky(model.order).T), shining(model.order)
+    camera = three_quarters(knot, SIZE)
+    context = create_context()
+    with context:
+        pictures = []
+        for given in (None, tables):
+            stage = Stage(context, model.order, given)
+            stage.light(lobes)
+            stage.material(operator)
+            if given is None:
+                stage.show(subject)
+            else:
+                for _ in range(2):  # a second pose goes into what is there
+                    stage.show_latents(knot, latents, receivers)
+            frame = context.framebuffer(
+                [context.texture(SIZE, 4, dtype="f4")], context.depth_renderbuffer(SIZE)
+            )
+            frame.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
+            stage.draw(frame, camera.matrix(SIZE[0] / SIZE[1]), np.asarray(camera.eye))
+            pictures.append(np.frombuffer(frame.read(components=4, dtype="f4"), dtype="f4"))
+            stage.release()
+    context.release()
+    assert np.abs(pictures[0]).max() > 0.1
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1e-4 * np.abs(pictures[0]).max()

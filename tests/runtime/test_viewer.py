@@ -15,6 +15,7 @@ from PIL import Image
 from data_gen.procedural import arm
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
+from prtnet.gpu_tables import gpu_tables
 from runtime.draw import opened, render_material
 from runtime.picture import develop
 from runtime.posed_surface import posed_subject
@@ -34,7 +35,14 @@ def shown(context, actor=None) -> Show:
     actor = actor or modelled(arm(segments=6), two_sided=False)
     truth = np.zeros((len(actor.receivers), actor.model.order**2), dtype=np.float32)
     truth[:, 0] = np.sqrt(4 * np.pi)
-    return Show(context, actor, actor.model, lambda _: truth, environment)
+    tables = gpu_tables(actor.model)
+
+    def latents(pose: np.ndarray) -> np.ndarray:
+        found = actor.model.latent(pose)
+        used = np.arange(found.shape[2]) < actor.model.latents[:, None]
+        return found[:, used] * tables.latent_scale
+
+    return Show(context, actor, actor.model, lambda _: truth, environment, latents)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +123,7 @@ def test_the_window_shows_what_is_drawn_without_one(viewer, tmp_path):
     seen = read(viewer, tmp_path / "seen.png")
     assert seen.shape == (SIZE[1], SIZE[0], 3)
     assert np.ptp(seen) > 60
-    pose, predicted = show.posed(view)
+    pose, predicted = show.pose(view), show.predicted(view)
     with opened("cpu") as renderer:
         linear = render_material(
             renderer, posed_subject(show.actor, pose, predicted), show.lit(view),

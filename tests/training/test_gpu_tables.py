@@ -9,10 +9,10 @@ import onnxruntime
 import pytest
 
 from prtnet.errors import PrtnetError
+from prtnet.gpu_tables import COUNT_BITS, gpu_tables
 from prtnet.storage import STORAGES
 from tests.models import random_model, random_poses
 from training.export import export_folder
-from training.gpu_tables import COUNT_BITS, gpu_tables
 
 METADATA = {"scene_name": "ball", "scene_kind": "skinned"}
 RELATIVE = 1e-5  # float32 through a few hundred multiply-adds
