@@ -6,7 +6,9 @@ ray tracer and the renderers alike.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -61,15 +63,18 @@ class Shot:
         subject = posed_subject(self.actor, self.pose, visibility)
         return render_material(renderer, subject, self.lobes, self.operator, self.camera, self.size)
 
-    def true_visibility(self, rays: int, threads: int) -> FloatArray:
-        """Ray-traced, in local frames, (V, n²)."""
+    def truth(self, renderer: Renderer, kind: str, rays: int, threads: int) -> FloatArray:
+        """The picture with ray-traced ``visibility``, or of light that is traced: the ``truth``."""
+        if kind == "truth":
+            return self.traced(renderer, rays, threads)
         from data_gen.visibility import trace_pose
 
         actor = self.actor
-        return trace_pose(
+        visibility = trace_pose(
             actor.scene, actor.receivers, actor.frame_field, self.pose, actor.model.order, rays,
             threads,
-        )[0]  # fmt: skip
+        )  # fmt: skip
+        return self.of(renderer, visibility[0])
 
     def traced(self, renderer: Renderer, rays: int, threads: int) -> FloatArray:
         """The picture of light traced without limits of bands, factors or lobes."""
@@ -101,7 +106,7 @@ def make_picture(options: RenderOptions, threads: int, console: Console) -> dict
     model = VisibilityModel.load(options.model)
     light = environment(options.light).turned(options.light_turn)
     brdf = brdf_named(options.brdf)
-    lobes = lobes_of(light.harmonics(model.order), options.lobes)
+    lobes = lobes_of(light.harmonics(model.order, options.dering), options.lobes)
     scene = read_scene(options.scene)
     require_clips(scene)
     actor = ModelledScene(model, scene)
@@ -118,22 +123,40 @@ def make_picture(options: RenderOptions, threads: int, console: Console) -> dict
         "out": options.out, "clip": clip.name, "time": time, "size": options.size,
         "brdf": options.brdf, "lobes": lobes.axes.shape[1],
     }  # fmt: skip
+    predicted = model(pose)[0]
+    errors = []
+    exposure: float | None = None
     with opened(options.renderer or usable(console.message)) as renderer:
-        linear = shot.of(renderer, model(pose)[0])
-        if options.compare is None:
-            picture = develop(linear, auto_exposure(linear))
-        else:
-            with console.progress() as report:
-                report("tracing the truth", 0, 0)
-                if options.compare == "truth":
-                    truth = shot.traced(renderer, options.rays, threads)
-                else:
-                    truth = shot.of(renderer, shot.true_visibility(options.rays, threads))
-            captions = "prediction", f"ray-traced {options.compare}"
-            picture, error = comparison(linear, truth, captions)
-            facts["error_in_per_cent_of_white"] = error
-    save_png(options.out, picture)
+        for path, turn in pictures_of(options):
+            own = dataclasses.replace(shot, camera=camera.around(turn))
+            linear, truth = own.of(renderer, predicted), None
+            if options.compare is not None:
+                with console.progress() as report:
+                    report("tracing the truth", 0, 0)
+                    truth = own.truth(renderer, options.compare, options.rays, threads)
+            if exposure is None:  # one for all pictures around
+                exposure = auto_exposure(linear if truth is None else truth)
+            if truth is None:
+                picture = develop(linear, exposure)
+            else:
+                captions = "prediction", f"ray-traced {options.compare}"
+                picture, error = comparison(linear, truth, captions, exposure)
+                errors.append(error)
+            save_png(path, picture)
+    if errors:
+        facts["error_in_per_cent_of_white"] = errors[0] if options.spin is None else errors
     return facts
+
+
+def pictures_of(options: RenderOptions) -> list[tuple[Path, float]]:
+    """Files to write, and how far the camera has walked around for each, radians."""
+    if options.spin is None:
+        return [(options.out, 0.0)]
+    width = len(str(options.spin - 1))
+    return [
+        (options.out.with_stem(f"{options.out.stem}_{k:0{width}}"), 2.0 * np.pi * k / options.spin)
+        for k in range(options.spin)
+    ]
 
 
 def lobes_of(light: FloatArray, count: int | None) -> Lobes:

@@ -5,6 +5,7 @@ Matrices multiply columns: ``clip = projection @ view @ (x, y, z, 1)``.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -84,6 +85,13 @@ class Camera:
             near=float(0.5 * nearest),
             far=float(2.0 * farthest),
         )
+
+    def around(self, turn: float) -> Camera:
+        """The camera after it has walked around its target, towards +x from +z, by radians."""
+        c, s = math.cos(turn), math.sin(turn)
+        x, y, z = (e - t for e, t in zip(self.eye, self.target, strict=True))
+        eye = (self.target[0] + c * x + s * z, self.target[1] + y, self.target[2] + c * z - s * x)
+        return dataclasses.replace(self, eye=eye)
 
     def view(self) -> FloatArray:
         """World to camera, (4, 4)."""

@@ -291,6 +291,26 @@ def test_render_alone_has_the_size_asked_for(work: Path, tmp_path: Path) -> None
         assert np.ptp(np.asarray(picture)) > 100  # something is drawn
 
 
+def test_pictures_all_around(work: Path, tmp_path: Path) -> None:
+    options = (
+        "--size",
+        "40x30",
+        "--renderer",
+        "cpu",
+        "--spin",
+        "11",
+        "--dering",
+        "0.05",
+        "--quiet",
+    )
+    out = tmp_path / "turn.png"
+    prtnet("render", work / "arm.safetensors", work / "arm.glb", "--out", out, *options)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [f"turn_{number:02d}.png" for number in range(11)]
+    pictures = [np.asarray(Image.open(tmp_path / name)) for name in names]
+    assert not np.array_equal(pictures[0], pictures[5])
+
+
 @pytest.mark.parametrize("name", ["arm.glb", "arm.zarr", "arm.safetensors"])
 def test_info(work: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     prtnet("info", work / name)

@@ -35,10 +35,13 @@ from training.worth import (
     unseen,
 )
 
-__all__ = ["FAMILIES", "Candidate", "Parts", "judged", "rich_config"]
+__all__ = ["FAMILIES", "QUICK", "Candidate", "Parts", "judged", "rich_config"]
 
 FAMILIES: dict[str, dict[str, Any]] = {
     "linear": {"kind": "linear"},
+    "neural, quick": {
+        "kind": "neural", "neurons": 16, "points": 3, "near": 24, "spheres": 64, "parts": 1,
+    },
     "neural, small": {"kind": "neural", "neurons": 16, "points": 3, "near": 24, "spheres": 64},
     "neural": {"kind": "neural"},
     "neural, large": {
@@ -52,6 +55,7 @@ FAMILIES: dict[str, dict[str, Any]] = {
 Quadratic ones are not among them: at every size another kind errs less (robot: as linear ones,
 for more bytes).
 """
+QUICK = ("neural, quick",)  # fewer groups are faster, and larger: only where time is limited
 RICH = 24  # components a group, on average, before the search drops what is not worth it
 RICH_AROUND = 16  # beside a prior, where less is left
 PARTS = 8  # groups a cluster: each keeps what it is worth
@@ -106,9 +110,8 @@ def rich_config(dataset: Dataset, base: TrainConfig, options: dict[str, Any]) ->
     """A family's configuration, with more components than it will keep."""
     receivers = len(dataset.rest_tangents)
     clusters = max(1, min(base.clusters, receivers // FEWEST))
-    parts = 1 if options["kind"] in AROUND else int(
-        np.clip(receivers // clusters // FEWEST, 1, PARTS)
-    )  # fmt: skip
+    parts = int(np.clip(receivers // clusters // FEWEST, 1, PARTS))
+    parts = 1 if options["kind"] in AROUND else options.get("parts", parts)
     latents = parts * (RICH_AROUND if options["kind"] in AROUND else RICH)
     settled = {
         "clusters": clusters, "parts": parts, "latents": latents, "output_variance": 1.0,

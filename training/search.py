@@ -23,7 +23,7 @@ from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
 from training.budget import Budget
 from training.config import TrainConfig
-from training.families import FAMILIES, Candidate, Parts, judged, rich_config
+from training.families import FAMILIES, QUICK, Candidate, Parts, judged, rich_config
 from training.monitor import Monitor, Silent
 from training.onnx_export import build_onnx
 from training.outputs import AROUND
@@ -202,7 +202,11 @@ def sensible(candidates: Candidates) -> Budget:
     The quick kinds look at a cache's dihedral angles alone, which tell little of its shadows.
     """
     every = candidates.dataset.scene_kind == "point_cache"
-    tried = [name for name, own in FAMILIES.items() if every or own["kind"] not in AROUND]
+    tried = [
+        name
+        for name, own in FAMILIES.items()
+        if name not in QUICK and (every or own["kind"] not in AROUND)
+    ]
     least = min(float(candidates[name].errors.min()) for name in tried)
     if SENSIBLE * least >= 1.0:  # nothing tells anything of these poses
         return Budget(max_mb=ANY_SIZE)
@@ -215,6 +219,8 @@ def compare(
     """Every kind worth trying at its best size."""
     choices: list[Choice] = []
     for family, options in FAMILIES.items():
+        if family in QUICK and budget.max_ms is None:
+            continue
         if options["kind"] in AROUND and not candidates.worth_a_prior(
             family, choices, budget, milliseconds
         ):
