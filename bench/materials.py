@@ -23,12 +23,12 @@ from prtnet.environment import Environment, environment
 from prtnet.materials import PRESETS, brdf_named, material
 from prtnet.model import VisibilityModel
 from prtnet.modelled_scene import ModelledScene
+from prtnet.reflection import local_view
 from prtnet.zh import exact_lobes, fit_lobes
 from runtime.camera import Camera
 from runtime.draw import Renderer, opened, render, render_material
 from runtime.picture import Panel, auto_exposure, compose_panels, develop, save_png
 from runtime.posed_surface import coloured_surface, posed_subject
-from runtime.reflected import local_view
 
 CHARACTERS = {
     "robot": ("robot neural, occluders.safetensors", "robot.glb", "Robot_WalkJump"),

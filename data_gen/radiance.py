@@ -1,7 +1,8 @@
 """Light that surfaces send to an eye, by ray tracing: no band limit, no factors, no lobes.
 
 L = ∫ light(s) V(s) f(s, eye) max(n·s, 0) ds at every receiver, by the rays that trace visibility:
-what reflection product operators are judged by. Direct light alone, as theirs is.
+what reflection product operators are judged by. Direct light alone, as theirs is. Rays are spread
+evenly: a light, or a highlight, must be wide enough for some of them to find it (the sun is not).
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from data_gen.visibility import Hemisphere, Tracer
 from prtnet.arrays import FloatArray
 from prtnet.brdf import BRDF
 from prtnet.frames import FrameField
+from prtnet.reflection import local_view
 from prtnet.scene import Receivers, Scene
 
 __all__ = ["trace_radiance"]
 
 BATCH = 1 << 16  # rays at a time: each needs some tens of numbers
-LOWEST = 1e-4  # cosine that views from below the horizon are raised to, as in pictures
 
 
 def trace_radiance(
@@ -56,11 +57,7 @@ def trace_radiance(
     tracer = Tracer(mesh.positions[0], scene.faces)
     inward = border_operator(scene.faces, receivers)
     origins = tracer.origins(points, departure(normals, inward @ mesh.positions[0]))
-    away = np.asarray(eye, dtype=np.float64) - points
-    view = np.einsum("vji,vj->vi", frames.astype(np.float64), away)
-    view /= np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-30)
-    view[:, 2] = np.maximum(view[:, 2], LOWEST)
-    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    view = local_view(points, eye, frames)
     local = Hemisphere(1, rays).directions
     weight = (local[:, 2] * (2.0 * math.pi / rays))[:, None]
 

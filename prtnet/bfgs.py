@@ -52,6 +52,8 @@ def minimise(
         # Each step: from the points (before) along a direction to what the line search accepts.
         before, value = points[under_way], values[under_way]
         step = -(inverse[under_way] @ gradients[under_way, :, None])[..., 0]
+        uphill = (step * gradients[under_way]).sum(axis=-1) >= 0.0  # rounding took its definiteness
+        step[uphill] = -gradients[under_way[uphill]]
         step *= np.minimum(1.0, reach / np.abs(step).max(axis=-1, keepdims=True))
         slope = (step * gradients[under_way]).sum(axis=-1)
         accepted, found = search(objective, under_way, before, step, value, slope)

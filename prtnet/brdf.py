@@ -65,6 +65,8 @@ class BRDF(ABC):
             values = np.asarray(getattr(self, field.name), dtype=np.float64)
             if not (np.isfinite(values).all() and (values >= 0.0).all()):
                 raise PrtnetError(f"BRDF {self.name}", f"{field.name} must be finite, at least 0")
+            if field.type == "float" and values.ndim > 0:
+                raise PrtnetError(f"BRDF {self.name}", f"{field.name} is one number, no colour")
             if field.name in UNIT and (values > 1.0).any():
                 raise PrtnetError(f"BRDF {self.name}", f"{field.name} must be at most 1")
 

@@ -56,7 +56,7 @@ def brdf_named(text: str) -> BRDF:
         return read_merl(text)
     name, _, words = text.partition(":")
     if name not in BRDFS and name not in PRESETS:
-        if Path(text).exists():
+        if is_file(text):
             raise PrtnetError(text, f"is no MERL file, which end in {MEASURED}")
         known = nearest_name(name, [*PRESETS, *BRDFS])
         raise PrtnetError("--brdf", f"'{name}' is neither a BRDF nor a file; {known}")
@@ -69,10 +69,15 @@ def brdf_named(text: str) -> BRDF:
             known = nearest_name(key, fields)
             raise PrtnetError("--brdf", f"{name} has no '{word}'; write NAME=VALUE, {known}")
         changed[key] = number_or_colour(value)
+    return dataclasses.replace(start, **changed)  # type: ignore[type-var]
+
+
+def is_file(text: str) -> bool:
+    """Whether this is the name of a file that is there."""
     try:
-        return dataclasses.replace(start, **changed)  # type: ignore[type-var]
-    except TypeError as error:  # a colour where there is only one number
-        raise PrtnetError("--brdf", f"'{text}' gives a colour where a number belongs") from error
+        return Path(text).is_file()
+    except OSError:  # too long for a name
+        return False
 
 
 def number_or_colour(text: str) -> float | tuple[float, float, float]:

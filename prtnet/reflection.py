@@ -16,7 +16,22 @@ from prtnet.errors import PrtnetError
 from prtnet.factors import Factors
 from prtnet.storage import HALF_LIMIT
 
-__all__ = ["ReflectionOperator", "reflection_operator"]
+__all__ = ["LOWEST", "ReflectionOperator", "local_view", "reflection_operator"]
+
+LOWEST = 1e-4  # cosine that views from below the horizon are raised to
+
+
+def local_view(positions: FloatArray, eye: FloatArray, frames: FloatArray) -> FloatArray:
+    """Directions (V, 3) to an eye in frames; those below the horizon are raised to it.
+
+    Vertices that look away still colour triangles at the silhouette.
+    """
+    away = np.asarray(eye, dtype=np.float64) - positions
+    local = np.einsum("vji,vj->vi", frames.astype(np.float64), away)
+    length = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-30)
+    local = local / length
+    local[:, 2] = np.maximum(local[:, 2], LOWEST)
+    return np.asarray(local / np.linalg.norm(local, axis=1, keepdims=True))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from prtnet.errors import PrtnetError
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
 from runtime.camera import Camera
+from runtime.material_shader import FRAGMENT_SHADER
 from runtime.reflected import Subject
 from runtime.shading import Surface
 from runtime.stage import TEXTURE_WIDTH, Stage
@@ -53,16 +54,6 @@ void main() {
     front = radiance(front_transfer);
     back = radiance(back_transfer);
     gl_Position = view_projection * vec4(position, 1.0);
-}
-"""
-
-FRAGMENT_SHADER = """#version 330
-in vec3 front;
-in vec3 back;
-out vec4 colour;
-
-void main() {
-    colour = vec4(gl_FrontFacing ? front : back, 1.0);
 }
 """
 

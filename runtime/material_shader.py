@@ -9,12 +9,12 @@ written out for the order, from the constants of :mod:`prtnet.sh`.
 from __future__ import annotations
 
 from prtnet.gpu_tables import GPUTables, glsl
+from prtnet.reflection import LOWEST
 from prtnet.sh import polynomial
-from runtime.reflected import LOWEST
 
-__all__ = ["FRAGMENT_SHADER", "MOST_LOBES", "harmonics_glsl", "vertex_shader"]
+__all__ = ["FRAGMENT_SHADER", "harmonics_glsl", "most_lobes", "vertex_shader"]
 
-MOST_LOBES = 11  # of each colour: what holds any light of order 6
+MOST_LOBES = 11  # of each colour, at least: what holds any light of order 6
 
 VERTEX_SHADER = """#version 330
 const int COEFFICIENTS = $COEFFICIENTS;
@@ -135,7 +135,7 @@ def vertex_shader(order: int, columns: int, tables: GPUTables | None = None) -> 
         "$COEFFICIENTS": str(order**2),
         "$ORDER": str(order),
         "$COLUMNS": str(columns),
-        "$LOBES": str(MOST_LOBES),
+        "$LOBES": str(most_lobes(order)),
         "$LOWEST": f"{LOWEST:e}",
         "$HARMONICS": harmonics_glsl(order),
     }
@@ -143,6 +143,11 @@ def vertex_shader(order: int, columns: int, tables: GPUTables | None = None) -> 
     for word, value in words.items():
         text = text.replace(word, value)
     return text
+
+
+def most_lobes(order: int) -> int:
+    """Of each colour: as many as hold any light of the order, or more."""
+    return max(MOST_LOBES, 2 * order - 1)
 
 
 def harmonics_glsl(order: int) -> str:

@@ -8,6 +8,7 @@ import moderngl
 import numpy as np
 
 from prtnet.arrays import FloatArray
+from runtime.material_shader import FRAGMENT_SHADER
 from runtime.shading import Surface
 
 __all__ = ["Painted"]
@@ -24,16 +25,6 @@ void main() {
     front = front_colour;
     back = back_colour;
     gl_Position = view_projection * vec4(position, 1.0);
-}
-"""
-
-FRAGMENT_SHADER = """#version 330
-in vec3 front;
-in vec3 back;
-out vec4 colour;
-
-void main() {
-    colour = vec4(gl_FrontFacing ? front : back, 1.0);
 }
 """
 

@@ -24,12 +24,13 @@ def posed_subject(
         pose: flattened, (1, D).
         visibility: local frames, (V, n²); sides have none when not given.
     """
-    frames = actor.frames(pose)[0]
+    mesh = actor.scene.geometry(pose)
+    frames = actor.frame_field.frames(pose, actor.receivers.gather(mesh))[0]
     if visibility is None:
         visibility = np.zeros((len(frames), 0), dtype=np.float32)
     front, back = sides(actor)
     return Subject(
-        actor.scene.geometry(pose).positions[0],
+        mesh.positions[0],
         actor.scene.faces,
         Side(visibility[front], frames[front]),
         None if back is None else Side(visibility[back], frames[back]),

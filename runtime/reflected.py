@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.reflection import ReflectionOperator
+from prtnet.reflection import ReflectionOperator, local_view
 from prtnet.sh import bands, evaluate
 from prtnet.zh import Lobes
 
-__all__ = ["LOWEST", "Side", "Subject", "local_light", "local_view", "outgoing_radiance"]
+__all__ = ["Side", "Subject", "local_light", "outgoing_radiance"]
 
 BLOCK = 1 << 12  # vertices at a time
-LOWEST = 1e-4  # cosine that views from below the horizon are raised to
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +62,6 @@ def local_light(lobes: Lobes, frames: FloatArray) -> FloatArray:
     order = lobes.coefficients.shape[-1]
     spread = lobes.coefficients[..., bands(order)]  # [3, N, n²]
     return np.einsum("vcni,cni->vic", evaluate(axes, order), spread)
-
-
-def local_view(positions: FloatArray, eye: FloatArray, frames: FloatArray) -> FloatArray:
-    """Directions (V, 3) to an eye in frames; those below the horizon are raised to it.
-
-    Vertices that look away still colour triangles at the silhouette.
-    """
-    away = np.asarray(eye, dtype=np.float64) - positions
-    local = np.einsum("vji,vj->vi", frames.astype(np.float64), away)
-    length = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-30)
-    local = local / length
-    local[:, 2] = np.maximum(local[:, 2], LOWEST)
-    return np.asarray(local / np.linalg.norm(local, axis=1, keepdims=True))
 
 
 def outgoing_radiance(

@@ -19,7 +19,7 @@ from prtnet.errors import PrtnetError
 from prtnet.gpu_tables import WIDTH, GPUTables
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
-from runtime.material_shader import FRAGMENT_SHADER, MOST_LOBES, vertex_shader
+from runtime.material_shader import FRAGMENT_SHADER, most_lobes, vertex_shader
 from runtime.reflected import Side, Subject
 
 __all__ = ["Stage"]
@@ -49,8 +49,8 @@ class Stage:
         tables: of a model, whose latents subjects are then shown with.
 
     Attributes:
-        milliseconds: of the last ``show`` (on the CPU) and ``draw`` (on the GPU, where it has
-            timers), by name.
+        milliseconds: of the last ``show`` (on the CPU) and the ``draw`` before the last (on the
+            GPU, where it has timers), by name.
     """
 
     def __init__(
@@ -67,12 +67,14 @@ class Stage:
         self._held: dict[str, Any] = {}
         self._mesh: Any = None
         self._shape: tuple[int, int, bool] | None = None
+        self._faces: IntArray | None = None
         self._material: ReflectionOperator | None = None
         self._latents: Any = None
         try:
-            self._timer: Any = context.query(time=True)
+            self._timers: list[Any] = [context.query(time=True) for _ in range(2)]
         except Exception:  # some OpenGL has no timer queries: it draws all the same
-            self._timer = None
+            self._timers = []
+        self._drawn = 0
         for unit, name in enumerate(TEXTURES):
             self._set(name, unit)
         if tables is not None:
@@ -102,6 +104,9 @@ class Stage:
         shape = (count, len(subject.faces), subject.back is not None)
         if shape != self._shape:
             self._allocate(subject, shape, rows)
+        if subject.faces is not self._faces:
+            self._held["faces"].write(np.ascontiguousarray(subject.faces, dtype="i4"))
+            self._faces = subject.faces
         self._held["positions"].write(np.ascontiguousarray(subject.positions, dtype="f4"))
         for name, side in zip(SIDES, subject.sides, strict=False):
             pair = side.frames[..., [0, 2]].swapaxes(1, 2)  # tangent, then normal
@@ -114,7 +119,10 @@ class Stage:
         """Put a model's tables on the GPU."""
         latents = np.zeros((max(1, -(-len(tables.latent_scale) // WIDTH)), WIDTH, 1), dtype="f4")
         arrays = {"rows": tables.rows, "receivers": tables.receivers, "latents": latents}
+        limit = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
         for name, array in arrays.items():
+            if len(array) > limit:
+                raise PrtnetError("model", "is too large for a texture here; train a smaller one")
             upload, internal = UPLOADS[array.dtype.name]
             texture = self.context.texture(
                 array.shape[1::-1], array.shape[2], np.ascontiguousarray(array), dtype=upload,
@@ -151,7 +159,8 @@ class Stage:
             held.pop(name).release()
         if self._mesh is not None:
             self._mesh.release()
-        held["faces"] = self.context.buffer(np.ascontiguousarray(subject.faces, dtype="i4"))
+        held["faces"] = self.context.buffer(reserve=max(1, 12 * len(subject.faces)))
+        self._faces = None
         held["positions"] = self.context.buffer(reserve=max(1, 12 * count))
         for name in SIDES if both else SIDES[:1]:
             held[f"{name}_frames"] = self.context.buffer(reserve=max(1, 24 * count))
@@ -210,10 +219,11 @@ class Stage:
             ValueError: they are too many, or of another order.
         """
         colours, count, order = lobes.coefficients.shape
-        if colours != 3 or count > MOST_LOBES or order != self.order:
+        most = most_lobes(self.order)
+        if colours != 3 or count > most or order != self.order:
             raise ValueError(f"{colours} x {count} lobes of order {order} do not fit the shader")
-        axes = np.zeros((3, MOST_LOBES, 3), dtype="f4")
-        zonal = np.zeros((3, MOST_LOBES, order), dtype="f4")
+        axes = np.zeros((3, most, 3), dtype="f4")
+        zonal = np.zeros((3, most, order), dtype="f4")
         axes[:, :count], zonal[:, :count] = lobes.axes, lobes.coefficients
         axes[:, count:, 2] = 1.0
         self._set("axis", axes)
@@ -261,7 +271,9 @@ class Stage:
             texture = self._held.get(name) or self._held.get("front_visibility")
             if texture is not None:
                 texture.use(unit)
-        with self._timer or contextlib.nullcontext():
+        timer = self._timers[self._drawn % 2] if self._timers else contextlib.nullcontext()
+        with timer:
             self._mesh.render(moderngl.TRIANGLES)
-        if self._timer is not None:
-            self.milliseconds["draw"] = self._timer.elapsed / 1e6
+        self._drawn += 1
+        if self._timers and self._drawn > 1:  # the one before: this one is still being drawn
+            self.milliseconds["draw"] = self._timers[self._drawn % 2].elapsed / 1e6

@@ -30,6 +30,8 @@ def test_names_stand_for_brdfs_and_their_parameters():
         ("ggx:roughness=a", "neither a number nor a colour"),
         ("ggx:roughness=1/2", "neither a number nor a colour"),
         ("ggx:roughness=2", "at most 1"),
+        ("ggx:roughness=0.1/0.2/0.3", "is one number, no colour"),
+        ("x" * 5000, "neither a BRDF nor a file"),
         ("phong:exponent=nan", "must be finite"),
         ("missing.binary", "does not exist"),
         ("pyproject.toml", "is no MERL file"),

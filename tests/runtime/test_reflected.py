@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from prtnet.materials import brdf_named, material
+from prtnet.reflection import local_view
 from prtnet.sh_rotation import rotate
 from prtnet.zh import exact_lobes
-from runtime.reflected import Side, local_light, local_view, outgoing_radiance
+from runtime.reflected import Side, local_light, outgoing_radiance
 from runtime.shading import diffuse_radiance
 from tests.runtime.scenes import knot_subject, sky
 from tests.runtime.test_shading import random_frames

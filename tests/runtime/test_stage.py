@@ -15,7 +15,7 @@ from prtnet.zh import Lobes, exact_lobes
 from runtime import stage as module
 from runtime.draw import opened, render_material
 from runtime.gl import GLRenderer, create_context
-from runtime.material_shader import MOST_LOBES
+from runtime.material_shader import most_lobes
 from runtime.picture import srgb_encode
 from runtime.reflected import Side, Subject
 from runtime.stage import Stage
@@ -44,7 +44,7 @@ def drawn(name: str, subject: Subject, lobes: Lobes, operator: ReflectionOperato
 
 
 @pytest.mark.parametrize("two_sided", [False, True])
-@pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 6])
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 6, 8])
 def test_the_shader_does_what_numpy_does(order, two_sided):
     subject, lobes = knot_subject(order, two_sided), exact_lobes(sky(order).T)
     operator = shining(order)
@@ -73,7 +73,12 @@ def test_lights_materials_and_poses_are_swapped_without_new_shaders():
     with GLRenderer() as renderer:
         first = renderer.draw_material(subject, few, one, camera, SIZE)
         program = renderer._stages[4].program
-        for changed in ((moved, few, one), (subject, many, one), (subject, few, other)):
+        faces = np.ascontiguousarray(subject.faces[::-1][:, [1, 2, 0]])
+        faces[: len(faces) // 2] = faces[0]
+        rewired = dataclasses.replace(subject, faces=faces)
+        for changed in (
+            (moved, few, one), (subject, many, one), (subject, few, other), (rewired, few, one),
+        ):  # fmt: skip
             again = renderer.draw_material(*changed, camera, SIZE)
             with GLRenderer() as fresh:
                 alone = fresh.draw_material(*changed, camera, SIZE)
@@ -90,7 +95,7 @@ def test_what_does_not_fit_is_refused(monkeypatch):
     with context:
         stage = Stage(context, 4)
         lobes = exact_lobes(sky().T)
-        crowd = Lobes(np.ones((3, MOST_LOBES + 1, 3)), np.ones((3, MOST_LOBES + 1, 4)))
+        crowd = Lobes(np.ones((3, most_lobes(4) + 1, 3)), np.ones((3, most_lobes(4) + 1, 4)))
         with pytest.raises(ValueError, match="do not fit"):
             stage.light(crowd)
         with pytest.raises(ValueError, match="do not fit"):
