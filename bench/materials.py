@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 
 import numpy as np
-from tables import OUT, ROOT, SCENES, publish, scene_path
+from tables import CHARACTERS, OUT, ROOT, SCENES, publish, scene_path
 
 from data_gen.radiance import trace_radiance
 from data_gen.readers import read_scene
@@ -30,18 +30,11 @@ from runtime.draw import Renderer, opened, render, render_material
 from runtime.picture import Panel, auto_exposure, compose_panels, develop, save_png
 from runtime.posed_surface import coloured_surface, posed_subject
 
-CHARACTERS = {
-    "robot": ("robot neural, occluders.safetensors", "robot.glb", "Robot_WalkJump"),
-    "human": (
-        "human clips and 600 sampled poses, neural, occluders, 14 latents.safetensors",
-        "human.glb", "Playground_A",
-    ),
-}  # fmt: skip
 LIGHTS = ("studio", "sunset", str(SCENES / "probes" / "dresden_square_1k.hdr"))
 RAYS = 1024
 SIZE = (320, 400)
 BLOCK = 256
-STEPS = ("light's bands", "visibility's bands", "factors", "lobes", "model")
+STEPS = ("light's bands", "visibility's bands", "factors, view's bands", "lobes", "model")
 
 
 class Scene:

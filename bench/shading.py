@@ -11,7 +11,7 @@ from typing import Any
 
 import moderngl
 import numpy as np
-from tables import OUT, publish, scene_path
+from tables import CHARACTERS, OUT, publish, scene_path
 
 from data_gen.readers import read_scene
 from prtnet.arrays import FloatArray
@@ -32,13 +32,6 @@ from runtime.screen import Screen
 from runtime.stage import Stage
 from training.onnx_export import build_latent_onnx
 
-CHARACTERS = {
-    "robot": ("robot neural, occluders.safetensors", "robot.glb", "Robot_WalkJump"),
-    "human": (
-        "human clips and 600 sampled poses, neural, occluders, 14 latents.safetensors",
-        "human.glb", "Playground_A",
-    ),
-}  # fmt: skip
 SIZES = ((800, 600), (1920, 1080))
 REPEATS = 30
 
@@ -60,7 +53,8 @@ def character(name: str, context: moderngl.Context) -> list[list[str]]:
     file, scene, clip = CHARACTERS[name]
     model = VisibilityModel.load(OUT / file)
     actor = ModelledScene(model, read_scene(scene_path(scene)))
-    pose = actor.poses(clip, np.array([1.0]))
+    found = actor.scene.clip(clip)
+    pose = actor.poses(clip, np.array([(found.start + found.end) / 2]))
     tables = gpu_tables(model)
     onnx = OnnxLatents(build_latent_onnx(model, tables.latent_scale).SerializeToString(), 2)
     latents = onnx(pose)[0]

@@ -29,6 +29,14 @@ ROBOT_HELD_OUT = ("Robot_WalkJump", "Robot_Yes", "Robot_No", "Robot_Standing")
 ROBOT = GenerateConfig(count=20, holdout=ROBOT_HELD_OUT)
 CLOTH = GenerateConfig(fps=15, two_sided=True, holdout=("cloth_train@9:12",))
 HUMAN = GenerateConfig(fps=8, holdout=("Playground_A",), sample=600)
+CHARACTERS = {
+    "robot": ("robot neural, occluders.safetensors", "robot.glb", "Robot_WalkJump"),
+    "human": (
+        "human clips and 600 sampled poses, neural, occluders, 14 latents.safetensors",
+        "human.glb", "Playground_A",
+    ),
+}  # fmt: skip
+"""Models made by models.py, their scenes, and clips that they have not seen."""
 
 
 def scene_path(name: str) -> Path:

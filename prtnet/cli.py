@@ -375,7 +375,8 @@ def view(argv: Sequence[str]) -> None:
     from prtnet.cli_options import ViewOptions
 
     options, session = arguments("view", argv, ViewOptions)
-    input_file(options.model), input_file(options.scene)
+    input_file(options.model)
+    input_file(options.scene)
 
     from prtnet.cli_view import opened_viewer
 

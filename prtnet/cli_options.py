@@ -133,13 +133,12 @@ class RenderOptions:
     light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
     light_turn: float = 0.0  # turn the light about the vertical by so many degrees
     dering: float = 0.0  # take ripples off a small bright light: 0.01 is mild, 0.1 strong
-    lobes: int | None = None  # zonal lobes of the light, a colour; what holds it exactly by default
+    lobes: int | None = None  # zonal lobes of the light, a colour; as many as it needs by default
     brdf: str = "matte"  # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file
     factors: int = 8  # products that a BRDF is a sum of
     size: tuple[int, int] = (640, 640)  # of the picture, in pixels
     spin: int | None = None  # so many pictures all around, OUT with a number before its .png
-    compare: Literal["truth", "visibility"] | None = None  # show the ray-traced picture, or one of
-    # ray-traced visibility that is shaded alike, and the error beside it
+    compare: Literal["truth", "visibility"] | None = None  # show what is ray-traced, and the error
     rays: int = 1024  # rays per receiver of the truth
     renderer: Literal["gl", "cpu"] | None = None  # OpenGL or NumPy; OpenGL where there is one
     threads: int | None = None  # CPU threads; all cores when not given
@@ -153,6 +152,8 @@ class RenderOptions:
         at_least("--light-turn", self.light_turn, -1e6)
         at_least("--dering", self.dering, 0)
         at_least("--spin", self.spin, 1)
+        if (self.spin or 1) > 999:
+            raise PrtnetError("--spin", "is too many; give at most 999 pictures")
         if (self.lobes or 1) > MOST_LOBES or self.factors > MOST_FACTORS:
             raise PrtnetError("--lobes and --factors", f"are at most {MOST_LOBES}, {MOST_FACTORS}")
         if self.out.suffix.lower() != ".png":

@@ -17,7 +17,7 @@ from prtnet.environment import Environment, environment
 from prtnet.materials import brdf_named, material
 from prtnet.model import VisibilityModel
 from prtnet.modelled_scene import ModelledScene
-from prtnet.zh import Lobes, exact_lobes, fit_lobes
+from prtnet.zh import Lobes, exact_lobes, fewest_lobes, fit_lobes, relative_error
 
 if TYPE_CHECKING:
     from prtnet.arrays import FloatArray
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from runtime.draw import Renderer
 
 __all__ = ["make_picture"]
+
+FEW_LOBES = 3  # of a colour
+LOBE_ERROR = 1e-3  # relative, of the light
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +123,8 @@ def make_picture(options: RenderOptions, threads: int, console: Console) -> dict
     camera = Camera.framing(positions, options.size[0] / options.size[1])
     shot = Shot(actor, pose, camera, light, lobes, brdf, operator, options.size)
     facts = {
-        "out": options.out, "clip": clip.name, "time": time, "size": options.size,
+        "out": [path for path, _ in pictures_of(options)] if options.spin else options.out,
+        "clip": clip.name, "time": time, "size": options.size,
         "brdf": options.brdf, "lobes": lobes.axes.shape[1],
     }  # fmt: skip
     predicted = model(pose)[0]
@@ -160,7 +164,8 @@ def pictures_of(options: RenderOptions) -> list[tuple[Path, float]]:
 
 
 def lobes_of(light: FloatArray, count: int | None) -> Lobes:
-    """Lobes of a light (n², 3), so many of each colour, or as many as hold it exactly."""
-    if count is None:
-        return exact_lobes(light.T)
-    return fit_lobes(light.T, count)
+    """Lobes of a light (n², 3): so many of each colour, or few if they hold it, or all it takes."""
+    if count is not None:
+        return fit_lobes(light.T, count)
+    found = fewest_lobes(light.T, FEW_LOBES, LOBE_ERROR)
+    return found if relative_error(light.T, found) <= LOBE_ERROR else exact_lobes(light.T)

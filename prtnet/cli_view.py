@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from prtnet.environment import environment
+from prtnet.errors import PrtnetError
 from prtnet.gpu_tables import gpu_tables
 from prtnet.materials import BRDFS, brdf_named
 from prtnet.materials import PRESETS as MATERIALS
@@ -59,8 +60,11 @@ def opened_viewer(
 
     latents = None
     if model.prior is None and model.latents.sum() > 0:
-        graph = build_latent_onnx(model, gpu_tables(model).latent_scale)
-        latents = OnnxLatents(graph.SerializeToString(), threads)
+        tables = gpu_tables(model)
+        graph = build_latent_onnx(model, tables.latent_scale)
+        latents = OnnxLatents(graph.SerializeToString(), threads), tables
+    if not options.out.is_dir():
+        raise PrtnetError(options.out, "is no folder to save pictures in; make it, or give another")
     window = open_window(f"prtnet: {options.model.name}", options.size, visible)
     show = Show(window.ctx, actor, predict, trace, environments, latents)
     view = View(

@@ -18,7 +18,7 @@ from prtnet.presets import PRESETS
 from prtnet.sh import window
 from prtnet.sh_rotation import checked_rotation, rotate
 
-__all__ = ["Environment", "Source", "environment"]
+__all__ = ["Environment", "Source", "about_up", "environment"]
 
 HDR_SUFFIXES = (".hdr", ".pic", ".rgbe")
 BRIGHTEST = 1e30  # products with transfer must still be 32-bit floats
@@ -73,8 +73,13 @@ class Environment:
 
     def turned(self, degrees: float) -> Environment:
         """The light turned about +y: by 90 degrees, what was at +z is at +x."""
-        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-        return self.rotated(np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]))
+        return self.rotated(about_up(degrees))
+
+
+def about_up(degrees: float) -> FloatArray:
+    """The rotation (3, 3) about +y that takes +z towards +x."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def environment(name_or_path: str | Path) -> Environment:

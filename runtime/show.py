@@ -12,14 +12,15 @@ import time as clock
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Generic, Literal, TypeVar, get_args
 
 import moderngl
 import numpy as np
 
 from prtnet.arrays import FloatArray
-from prtnet.environment import Environment
-from prtnet.gpu_tables import gpu_tables
+from prtnet.brdf import BRDF
+from prtnet.environment import Environment, about_up
+from prtnet.gpu_tables import GPUTables
 from prtnet.materials import brdf_named, material
 from prtnet.modelled_scene import ModelledScene
 from prtnet.reflection import ReflectionOperator
@@ -36,6 +37,7 @@ __all__ = ["MODES", "Mode", "Show", "View"]
 
 Mode = Literal["prediction", "truth", "open", "ambient", "error"]
 MODES: tuple[Mode, ...] = get_args(Mode)
+T = TypeVar("T")
 FRAMED = 9  # poses of a clip that must be in the picture
 TURN_STEP = math.radians(0.25)  # a drag's pixel
 
@@ -56,7 +58,8 @@ class View:
         azimuth, elevation: of the camera, radians.
         distance: of the camera, times the one that frames the character.
         pan: of the target, metres along the picture's axes.
-        exposure: stops beside the one chosen at first.
+        exposure: stops beside the one chosen under this light.
+        playing: whether time goes on; the truth is traced when it does not.
     """
 
     clip: str
@@ -74,16 +77,40 @@ class View:
     distance: float = 1.0
     pan: tuple[float, float] = (0.0, 0.0)
     exposure: float = 0.0
+    playing: bool = False
 
-    def orbit(self, right: float, up: float) -> None:
+    def orbit(self, right: float, down: float) -> None:
         """Walk the camera around the character by so many pixels of a drag."""
         self.azimuth = (self.azimuth - TURN_STEP * right) % (2.0 * math.pi)
         limit = math.radians(89.0)
-        self.elevation = min(max(self.elevation + TURN_STEP * up, -limit), limit)
+        self.elevation = min(max(self.elevation + TURN_STEP * down, -limit), limit)
 
     def zoom(self, steps: float) -> None:
         """Step towards the character."""
         self.distance = min(max(self.distance * 0.9**steps, 0.05), 20.0)
+
+
+class Background(Generic[T]):
+    """The last thing asked for, made in a thread of its own; one at a time."""
+
+    def __init__(self) -> None:
+        self.worker = ThreadPoolExecutor(1)
+        self.key: Any = None
+        self.future: Future[T] | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being made."""
+        return self.future is not None and not self.future.done()
+
+    def get(self, key: Any, make: Callable[[], T], wait: bool = False) -> T | None:
+        """What is asked for; None while it is being made, or something else still is."""
+        if wait and self.future is not None and self.key != key:
+            self.future.exception()  # done with, whatever came of it
+        if self.key != key and not self.busy:
+            self.key, self.future = key, self.worker.submit(make)
+        ready = self.future is not None and self.key == key and (wait or self.future.done())
+        return self.future.result() if ready and self.future is not None else None
 
 
 class Show:
@@ -95,11 +122,13 @@ class Show:
         predict: poses (P, D) to visibility (P, V, n²).
         trace: the truth of one pose (1, D), (V, n²); runs in a thread of its own.
         environments: lights by name.
-        latents: poses (P, D) to latents (P, Σ latents) as a shader wants them, where predictions
-            are to be rebuilt on the GPU; not for models with a prior.
+        latents: poses (P, D) to latents (P, Σ latents) as a shader wants them, and the model's
+            tables, where predictions are to be rebuilt on the GPU; not for models with a prior.
 
     Attributes:
         milliseconds: of the stages of the last frame, by name.
+        exposures: by light, each chosen by the first picture under it.
+        error_top: what is at the end of the error's colours, per cent of an open vertex.
     """
 
     def __init__(
@@ -109,23 +138,25 @@ class Show:
         predict: Callable[[FloatArray], FloatArray],
         trace: Callable[[FloatArray], FloatArray],
         environments: Callable[[str], Environment],
-        latents: Callable[[FloatArray], FloatArray] | None = None,
+        latents: tuple[Callable[[FloatArray], FloatArray], GPUTables] | None = None,
     ) -> None:
         self.context, self.actor = context, actor
         self.predict, self.trace, self.environments = predict, trace, environments
         self.order = actor.model.order
         self.stage, self.screen = Stage(context, self.order), Screen(context)
         self.painted = Painted(context)
-        self.latents, self.rebuilt = latents, None
+        self.latents, self.rebuilt = None, None
         if latents is not None:
-            self.rebuilt = Stage(context, self.order, gpu_tables(actor.model))
+            self.latents = latents[0]
+            self.rebuilt = Stage(context, self.order, latents[1])
         self.milliseconds: dict[str, float] = {}
-        self.base_exposure: float | None = None
+        self.exposures: dict[str, float] = {}
+        self.error_top = 0.0
         self.framing: Camera | None = None
-        self._workers = ThreadPoolExecutor(1)
-        self._truth: tuple[Any, Future[FloatArray]] | None = None
-        self._material: tuple[Any, Future[ReflectionOperator]] | None = None
+        self._truth: Background[FloatArray] = Background()
+        self._material: Background[ReflectionOperator] = Background()
         self._operator: ReflectionOperator | None = None
+        self._brdf: tuple[str, BRDF] | None = None
         self._lit: tuple[Any, Lobes] | None = None
         self._posed: tuple[Any, FloatArray] | None = None
         self._predicted: tuple[Any, FloatArray] | None = None
@@ -137,14 +168,16 @@ class Show:
     @property
     def waiting(self) -> str:
         """What is being made in the background, in words; empty where nothing is."""
-        tasks = {"tracing the truth": self._truth, "making the material": self._material}
-        return ", ".join(
-            what for what, task in tasks.items() if task is not None and not task[1].done()
-        )
+        tasks: dict[str, Background[Any]] = {
+            "tracing the truth": self._truth,
+            "making the material": self._material,
+        }
+        return ", ".join(what for what, task in tasks.items() if task.busy)
 
     def release(self) -> None:
         """Give everything back but the context; what is being traced is waited for."""
-        self._workers.shutdown(cancel_futures=True)
+        for task in (self._truth, self._material):
+            task.worker.shutdown(cancel_futures=True)
         for held in (self.stage, self.rebuilt, self.screen, self.painted):
             if held is not None:
                 held.release()
@@ -180,23 +213,32 @@ class Show:
         camera = self.camera(view)
         frame = self.screen.clear(size)
         split = round(min(max(view.split, 0.0), 1.0) * size[0])
+        exposure = self.exposures.get(view.light, 1.0) * 2.0**view.exposure
         for mode, left, width in (
             (view.left, 0, split),
             (view.right, split, size[0] - split),
         ):
             if width > 0:
                 frame.scissor = (left, 0, width, size[1])
-                self._draw(mode, view, camera, size, frame)
+                self._draw(mode, view, camera, size, frame, exposure)
         frame.scissor = None
-        if self.base_exposure is None:
-            self.base_exposure = auto_exposure(self.screen.linear())
-        self.screen.present(target, self.base_exposure * 2.0**view.exposure)
+        if view.light not in self.exposures and view.left not in ("ambient", "error"):
+            drawn = auto_exposure(self.screen.linear())
+            self.exposures[view.light] = drawn
+            exposure = drawn * 2.0**view.exposure
+        self.screen.present(target, exposure)
         self.milliseconds["frame"] = 1e3 * (clock.perf_counter() - started)
 
     def _draw(
-        self, mode: Mode, view: View, camera: Camera, size: tuple[int, int], frame: Any
+        self,
+        mode: Mode,
+        view: View,
+        camera: Camera,
+        size: tuple[int, int],
+        frame: Any,
+        exposure: float,
     ) -> None:
-        """One side of the split."""
+        """One side of the split; nothing where the truth is not known yet."""
         pose, matrix = self.pose(view), camera.matrix(size[0] / size[1])
         eye = np.asarray(camera.eye)
         if mode == "prediction" and self.rebuilt is not None:
@@ -204,26 +246,29 @@ class Show:
             return
         predicted = self.predicted(view)
         truth = self.truth(view) if mode in ("truth", "error") else None
+        if mode in ("truth", "error") and truth is None:
+            return
         if mode == "error" and truth is not None:
-            wrong = 100.0 * vertex_error(predicted, truth)
-            heat = (colour_map(wrong / error_scale(wrong / 100.0)) / 255.0) ** 2.2
-            gain = 1.0 / ((self.base_exposure or 1.0) * 2.0**view.exposure)
+            wrong = vertex_error(predicted, truth)
+            self.error_top = error_scale(wrong)
+            heat = (colour_map(100.0 * wrong / self.error_top) / 255.0) ** 2.2
             surface = coloured_surface(self.actor, pose, heat.astype(np.float32))
-            self.painted.draw(frame, surface, matrix, gain)
+            self.painted.draw(frame, surface, matrix, 1.0 / exposure)
             return
         visibility = predicted if truth is None else truth
         if mode == "open":
             visibility = np.zeros_like(predicted)
             visibility[:, 0] = math.sqrt(4.0 * math.pi)
         plain = mode == "ambient"
-        self.stage.light(self._white if plain else self.lit(view))
+        white = Lobes(self._white.axes, self._white.coefficients / exposure)
+        self.stage.light(white if plain else self.lit(view))
         self.stage.material(self._matte if plain else self.operator(view))
         started = clock.perf_counter()
         subject = posed_subject(self.actor, pose, visibility)
-        self.milliseconds["pose"] = 1e3 * (clock.perf_counter() - started)
+        self._count(pose=1e3 * (clock.perf_counter() - started))
         self.stage.show(subject)
         self.stage.draw(frame, matrix, eye)
-        self.milliseconds |= self.stage.milliseconds
+        self._count(**self.stage.milliseconds)
 
     def _draw_latents(
         self, stage: Stage, view: View, frame: Any, matrix: FloatArray, eye: FloatArray
@@ -235,14 +280,25 @@ class Show:
         pose = self.pose(view)
         started = clock.perf_counter()
         latents = self.latents(pose)[0]
-        self.milliseconds["model"] = 1e3 * (clock.perf_counter() - started)
+        self._count(model=1e3 * (clock.perf_counter() - started))
         started = clock.perf_counter()
         subject = posed_subject(self.actor, pose)
-        self.milliseconds["pose"] = 1e3 * (clock.perf_counter() - started)
+        self._count(pose=1e3 * (clock.perf_counter() - started))
         front, back = sides(self.actor)
         stage.show_latents(subject, latents, [front] if back is None else [front, back])
         stage.draw(frame, matrix, eye)
-        self.milliseconds |= stage.milliseconds
+        self._count(**stage.milliseconds)
+
+    def _count(self, **spent: float) -> None:
+        """Milliseconds of stages: those of both sides of a split are summed."""
+        for stage, ms in spent.items():
+            self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + ms
+
+    def metres(self, view: View, height: int) -> float:
+        """What a pixel of a picture of this height is wide at the target."""
+        camera = self.camera(view)
+        reach = np.linalg.norm(np.asarray(camera.eye) - np.asarray(camera.target))
+        return float(2.0 * math.tan(camera.fov / 2.0) * reach / max(height, 1))
 
     def pose(self, view: View) -> FloatArray:
         """The pose of a view, (1, D)."""
@@ -258,38 +314,45 @@ class Show:
             pose = self.pose(view)
             started = clock.perf_counter()
             self._predicted = key, self.predict(pose)[0]
-            self.milliseconds["model"] = 1e3 * (clock.perf_counter() - started)
+            self._count(model=1e3 * (clock.perf_counter() - started))
         return self._predicted[1]
 
     def truth(self, view: View, wait: bool = False) -> FloatArray | None:
-        """The true visibility (V, n²) of the pose, traced in the background; None until then."""
-        key = (view.clip, view.time)
-        if self._truth is None or (self._truth[0] != key and self._truth[1].done()):
-            self._truth = key, self._workers.submit(self.trace, self.pose(view))
-        if wait and self._truth[0] != key:
-            self._truth[1].result()
-            return self.truth(view, wait)
-        ready = self._truth[0] == key and (wait or self._truth[1].done())
-        return self._truth[1].result() if ready else None
+        """The true visibility (V, n²) of the pose, traced in the background; None until then.
+
+        Nothing is traced while time goes on: the next picture has another pose.
+        """
+        if view.playing and not wait:
+            return None
+        pose = self.pose(view)
+        return self._truth.get((view.clip, view.time), lambda: self.trace(pose), wait)
+
+    def brdf(self, view: View) -> BRDF:
+        """The reflectance that a view names.
+
+        Raises:
+            PrtnetError: there is none of that name.
+        """
+        if self._brdf is None or self._brdf[0] != view.brdf:
+            self._brdf = view.brdf, brdf_named(view.brdf)
+        return self._brdf[1]
 
     def operator(self, view: View, wait: bool = False) -> ReflectionOperator:
         """The material, made in the background; the last one until then."""
-        key = (view.brdf, view.factors)
-        if self._material is None or (self._material[0] != key and self._material[1].done()):
-            brdf = brdf_named(view.brdf)  # what it does not know it says at once
-            future = self._workers.submit(material, brdf, view.factors, self.order)
-            self._material = key, future
-        if self._operator is None or wait or self._material[1].done():
-            self._operator = self._material[1].result()
-        if wait and self._material[0] != key:
-            return self.operator(view, wait)
+        brdf, factors = self.brdf(view), view.factors
+        found = self._material.get(
+            (view.brdf, factors),
+            lambda: material(brdf, factors, self.order),
+            wait or self._operator is None,
+        )
+        self._operator = self._operator if found is None else found
+        assert self._operator is not None
         return self._operator
 
     def lit(self, view: View) -> Lobes:
-        """The lobes of the light."""
-        key = (view.light, view.lobes, view.light_turn)
+        """The lobes of the light: fitted once, then turned."""
+        key = (view.light, view.lobes)
         if self._lit is None or self._lit[0] != key:
-            turned = self.environments(view.light).turned(view.light_turn)
-            light = turned.harmonics(self.order).T
+            light = self.environments(view.light).harmonics(self.order).T
             self._lit = key, exact_lobes(light) if view.lobes == 0 else fit_lobes(light, view.lobes)
-        return self._lit[1]
+        return self._lit[1].rotated(about_up(view.light_turn))

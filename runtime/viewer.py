@@ -5,6 +5,7 @@ Needs the extra ``viewer`` (moderngl-window, imgui-bundle).
 
 from __future__ import annotations
 
+import contextlib
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
@@ -93,7 +94,9 @@ class Viewer:
 
         self.window, self.show, self.view = window, show, view
         self.out, self.say = out, say
-        self.playing, self.helping, self.saved = True, False, 0
+        self.helping, self.saved = False, 0
+        view.playing = True
+        self.good = View(**vars(view))
         self.message = ""
         self.first = View(**vars(view))
         imgui.create_context()
@@ -124,7 +127,7 @@ class Viewer:
         """One frame, so many seconds after the last."""
         self.window.use()
         self.imgui.get_io().delta_time = max(elapsed, 1e-4)
-        if self.playing:
+        if self.view.playing:
             self.advance(elapsed)
         self.render(0.0, elapsed)
         self.window.swap_buffers()  # also hands the window's events out
@@ -138,8 +141,23 @@ class Viewer:
         self.interface.render(self.imgui.get_draw_data())
 
     def picture(self) -> None:
-        """Draw without the panel; what is wrong with the view is shown, and left as it was."""
-        self.show.draw(self.view, self.window.buffer_size, self.window.fbo)
+        """Draw without the panel; a view that cannot be drawn is told, and taken back."""
+        size, target = self.window.buffer_size, self.window.fbo
+        try:
+            self.show.draw(self.view, size, target)
+        except Exception as error:  # whatever background work ended in, too
+            if vars(self.view) == vars(self.good):
+                raise
+            self.complain(error)
+            vars(self.view).update(vars(self.good))
+            self.show.draw(self.view, size, target)
+        if not self.show.waiting:  # what is still being made may fail yet
+            self.good = View(**vars(self.view))
+
+    def complain(self, error: Exception) -> None:
+        """Tell in the panel what went wrong."""
+        known = isinstance(error, PrtnetError)
+        self.message = f"{error.subject}: {error.message}" if known else f"{error!r}"  # type: ignore[attr-defined]
 
     def advance(self, seconds: float) -> None:
         """Go on in the clip, and around."""
@@ -158,9 +176,9 @@ class Viewer:
         if key in numbers:
             self.view.left = MODES[numbers.index(key)]
         elif key == keys.SPACE:
-            self.playing = not self.playing
+            self.view.playing = not self.view.playing
         elif key in (keys.LEFT, keys.RIGHT):
-            self.playing = False
+            self.view.playing = False
             self.advance(FRAME if key == keys.RIGHT else -FRAME)
         elif key == keys.C:
             self.view.split = 0.5 if self.view.split == 1.0 else 1.0
@@ -168,10 +186,15 @@ class Viewer:
             self.helping = not self.helping
         elif key == keys.R:
             vars(self.view).update(vars(self.first))
-        elif key == keys.S:
-            self.save(self.name("picture"))
-        elif key == keys.T:
-            self.turntable()
+            self.show.exposures.clear()
+        elif key in (keys.S, keys.T):
+            try:
+                if key == keys.S:
+                    self.save(self.name("picture"))
+                else:
+                    self.turntable()
+            except PrtnetError as error:
+                self.complain(error)
 
     def drag(self, x: int, y: int, dx: int, dy: int) -> None:
         """The mouse moved with a button down."""
@@ -184,7 +207,7 @@ class Viewer:
         elif held.right:
             self.view.light_turn = (self.view.light_turn + 0.5 * dx) % 360.0
         elif held.middle:
-            reach = 0.002 * self.view.distance
+            reach = self.show.metres(self.view, self.window.height)
             self.view.pan = (self.view.pan[0] - reach * dx, self.view.pan[1] + reach * dy)
 
     def scroll(self, across: float, up: float) -> None:
@@ -200,26 +223,31 @@ class Viewer:
             before = getattr(self.view, name)
             setattr(self.view, name, path)
             try:
-                (self.show.operator if name == "brdf" else self.show.lit)(self.view)
+                (self.show.brdf if name == "brdf" else self.show.lit)(self.view)
             except PrtnetError as error:
                 setattr(self.view, name, before)
-                self.message = f"{error.subject}: {error.message}"
+                self.complain(error)
 
     def name(self, kind: str) -> Path:
         """A file that is not there yet."""
-        while (path := self.out / f"{kind}_{self.saved:03d}.png").exists():
+        while any(self.out.glob(f"{kind}_{self.saved:03d}*.png")):
             self.saved += 1
-        return path
+        return self.out / f"{kind}_{self.saved:03d}.png"
 
     def save(self, path: Path) -> None:
         """Write the picture without the panel."""
         size, context = self.window.buffer_size, self.window.ctx
-        texture = context.texture(size, 4)
-        target = context.framebuffer([texture])  # of our own: what covers a window is not in it
-        self.show.draw(self.view, size, target)
-        data: Any = np.frombuffer(target.read(components=3, alignment=1), dtype=np.uint8)
-        target.release()
-        texture.release()
+        self.show.operator(self.view, wait=True)
+        if {"truth", "error"} & {self.view.left, self.view.right if self.view.split < 1 else ""}:
+            self.view.playing = False  # what is traced is this pose
+            self.show.truth(self.view, wait=True)
+        with contextlib.ExitStack() as made:
+            texture = context.texture(size, 4)
+            made.callback(texture.release)
+            target = context.framebuffer([texture])  # our own: what covers a window is not in it
+            made.callback(target.release)
+            self.show.draw(self.view, size, target)
+            data: Any = np.frombuffer(target.read(components=3, alignment=1), dtype=np.uint8)
         save_png(path, data.reshape(size[1], size[0], 3)[::-1])
         self.message = f"saved {path}"
         self.say(self.message)
@@ -227,13 +255,19 @@ class Viewer:
     def turntable(self) -> None:
         """Write pictures all around."""
         start, first = self.view.azimuth, self.name("turn")
-        for number in range(TURNTABLE):
-            self.view.azimuth = start + 2.0 * np.pi * number / TURNTABLE
-            self.save(first.with_name(f"{first.stem}_{number:02d}.png"))
-        self.view.azimuth = start
+        try:
+            for number in range(TURNTABLE):
+                self.view.azimuth = start + 2.0 * np.pi * number / TURNTABLE
+                self.save(first.with_name(f"{first.stem}_{number:02d}.png"))
+        finally:
+            self.view.azimuth = start
+
+    def release(self) -> None:
+        """Give everything back but the window, and the panel's library, which goes with it."""
+        self.show.release()
 
     def close(self) -> None:
         """Give everything back."""
-        self.show.release()
+        self.release()
         self.window.close()
         self.window.destroy()

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from prtnet.errors import PrtnetError
-from prtnet.materials import brdf_named
+from prtnet.merl import Measured
 from runtime.show import MODES
 
 if TYPE_CHECKING:
@@ -45,29 +44,43 @@ class Panel:
         if chosen != view.clip:
             view.clip, view.time = chosen, viewer.show.actor.scene.clip(chosen).start
         clip = viewer.show.actor.scene.clip(view.clip)
-        moved, view.time = imgui.slider_float("time", view.time, clip.start, clip.end, "%.2f s")
-        viewer.playing = viewer.playing and not moved
-        _, viewer.playing = imgui.checkbox("play (Space)", viewer.playing)
+        always = imgui.SliderFlags_.always_clamp  # typed numbers, too
+        moved, view.time = imgui.slider_float(
+            "time", view.time, clip.start, clip.end, "%.2f s", always
+        )
+        view.playing = view.playing and not moved
+        _, view.playing = imgui.checkbox("play (Space)", view.playing)
         imgui.separator_text("look")
         view.left = self.choose("shown", view.left, list(MODES))
-        _, view.split = imgui.slider_float("split (C)", view.split, 0.0, 1.0, "%.2f")
+        _, view.split = imgui.slider_float("split (C)", view.split, 0.0, 1.0, "%.2f", always)
         if view.split < 1.0:
             view.right = self.choose("beside", view.right, list(MODES))
-        _, view.exposure = imgui.slider_float("exposure", view.exposure, -4.0, 4.0, "%+.1f stops")
+        _, view.exposure = imgui.slider_float(
+            "exposure", view.exposure, -4.0, 4.0, "%+.1f stops", always
+        )
         imgui.separator_text("light")
         self.set_checked("light", self.choose("light", view.light, self.lights))
-        _, view.light_turn = imgui.slider_float("turn", view.light_turn, 0.0, 360.0, "%.0f deg")
-        _, view.lobes = imgui.slider_int("lobes", view.lobes, 0, 6, "%d" if view.lobes else "exact")
+        _, view.light_turn = imgui.slider_float(
+            "turn", view.light_turn, 0.0, 360.0, "%.0f deg", always
+        )
+        _, view.lobes = imgui.slider_int(
+            "lobes", view.lobes, 0, 6, "%d" if view.lobes else "exact", always
+        )
         imgui.separator_text("material")
         name = view.brdf.partition(":")[0]
         chosen = self.choose("BRDF", name, self.brdfs)
         if chosen != name:
             self.set_checked("brdf", chosen)
         self.parameters()
-        _, view.factors = imgui.slider_int("factors", view.factors, 1, 16)
+        _, view.factors = imgui.slider_int("factors", view.factors, 1, 16, "%d", always)
         imgui.separator_text("milliseconds")
         for stage, spent in viewer.show.milliseconds.items():
             imgui.text(f"{stage:<8} {spent:8.3f}")
+        sides = (view.left, view.right if view.split < 1.0 else view.left)
+        if "error" in sides and viewer.show.error_top > 0.0:
+            imgui.text(f"yellow: {viewer.show.error_top:.3g} % of an open vertex")
+        if view.playing and {"truth", "error"} & set(sides):
+            imgui.text("stop (Space) to trace the truth")
         if viewer.show.waiting:
             imgui.text(viewer.show.waiting)
         if viewer.message:
@@ -99,32 +112,37 @@ class Panel:
             if name == "light":
                 viewer.show.lit(viewer.view)
             else:
-                brdf_named(viewer.view.brdf)
+                viewer.show.brdf(viewer.view)
             viewer.message = ""
         except PrtnetError as error:
             setattr(viewer.view, name, before)
-            viewer.message = f"{error.subject}: {error.message}"
+            viewer.complain(error)
 
     def parameters(self) -> None:
         """A slider for every parameter of the BRDF, colours in three."""
         imgui, view = self.imgui, self.viewer.view
-        if view.brdf.endswith(".binary"):
+        brdf = self.viewer.show.brdf(view)
+        if isinstance(brdf, Measured):
             return
-        brdf = brdf_named(view.brdf)
-        words = []
+        words, moved = [], False
         for field in dataclasses.fields(brdf):  # type: ignore[arg-type]
             value = getattr(brdf, field.name)
             low, high = RANGES.get(field.name, (0.0, 1.0))
+            flags = imgui.SliderFlags_.always_clamp
             if isinstance(value, tuple):
-                _, new = imgui.color_edit3(field.name, list(value), imgui.ColorEditFlags_.float)
-                words.append(f"{field.name}=" + "/".join(f"{part:.4g}" for part in new))
-            else:
-                logarithmic = imgui.SliderFlags_.logarithmic if high > 1.0 else 0
-                _, new = imgui.slider_float(
-                    field.name, float(value), low, high, "%.3f", logarithmic
+                changed, new = imgui.color_edit3(
+                    field.name, list(value), imgui.ColorEditFlags_.float
                 )
-                words.append(f"{field.name}={new:.4g}" if math.isfinite(new) else "")
-        name = view.brdf.partition(":")[0]
-        start = brdf_named(name)
-        text = f"{name}:{','.join(words)}"
-        self.set_checked("brdf", name if brdf_named(text) == start else text)
+                value = tuple(min(max(part, 0.0), 1.0) for part in new) if changed else value
+            else:
+                if high > 1.0:
+                    flags |= imgui.SliderFlags_.logarithmic
+                changed, new = imgui.slider_float(
+                    field.name, float(value), low, high, "%.3f", flags
+                )
+                value = new if changed else value
+            moved |= changed
+            parts = value if isinstance(value, tuple) else (value,)
+            words.append(f"{field.name}=" + "/".join(f"{part:.6g}" for part in parts))
+        if moved:
+            self.set_checked("brdf", f"{view.brdf.partition(':')[0]}:{','.join(words)}")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm
+from prtnet.cli_options import ViewOptions
+from prtnet.cli_view import opened_viewer
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
 from prtnet.gpu_tables import gpu_tables
@@ -21,6 +26,8 @@ from runtime.picture import develop
 from runtime.posed_surface import posed_subject
 from runtime.show import MODES, Show, View
 from runtime.viewer import Viewer, open_window
+from tests.models import random_model
+from tests.priors import random_prior
 from tests.runtime.test_posed_surface import modelled
 
 pytestmark = [
@@ -42,7 +49,7 @@ def shown(context, actor=None) -> Show:
         used = np.arange(found.shape[2]) < actor.model.latents[:, None]
         return found[:, used] * tables.latent_scale
 
-    return Show(context, actor, actor.model, lambda _: truth, environment, latents)
+    return Show(context, actor, actor.model, lambda _: truth, environment, (latents, tables))
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +69,10 @@ def viewer(window: Any, tmp_path: Path) -> Iterator[Viewer]:
     view = View("bend", brdf="phong")
     found = Viewer(window, shown(window.ctx), view, ["studio", "sky"], ["matte", "gold"],
                    tmp_path, lambda _: None)  # fmt: skip
-    found.playing = False
+    found.view.playing = False
+    found.first.playing = False
     yield found
-    found.show.release()
+    found.release()
 
 
 def send(viewer: Viewer, *event: Any) -> None:
@@ -101,7 +109,7 @@ def read(viewer: Viewer, path: Path) -> np.ndarray:
 
 
 def test_it_plays_until_it_is_told_to_stop(viewer):
-    viewer.playing = True
+    viewer.view.playing = True
     for _ in range(3):
         viewer.step(0.1)
     assert viewer.view.time == pytest.approx(0.3)
@@ -130,7 +138,7 @@ def test_the_window_shows_what_is_drawn_without_one(viewer, tmp_path):
             show.operator(view), show.camera(view), SIZE, samples=1,
         )  # fmt: skip
     assert linear[..., 3].mean() > 0.03
-    expected = develop(linear, show.base_exposure).astype(int)
+    expected = develop(linear, show.exposures["studio"]).astype(int)
     assert np.mean(np.abs(seen - expected).max(axis=-1) <= 2) >= 0.999
 
 
@@ -180,7 +188,7 @@ def test_every_mode_shows_something_of_its_own(viewer, tmp_path):
 
 def test_the_panel_draws_and_explains_the_keys(viewer):
     press(viewer, "H")
-    for brdf in ("matte", "gold", "satin", "phong", "schlick"):
+    for brdf in ("matte", "gold", "satin", "phong", "ggx:roughness=0.123456789"):
         viewer.view.brdf = brdf
         viewer.step(0.02)
         assert viewer.view.brdf == brdf  # drawing sliders moves none
@@ -205,12 +213,95 @@ def test_what_cannot_be_shown_is_said_and_left_as_it_was(viewer, tmp_path):
     viewer.step(0.0)
 
 
+def test_a_frame_that_cannot_be_drawn_is_told_and_taken_back(viewer, tmp_path):
+    viewer.step(0.0)
+    changes = {"brdf": "gild", "light": "moon", "factors": 0, "lobes": 99, "time": 99.0}
+    for name, value in changes.items():
+        before = vars(viewer.view).copy()
+        setattr(viewer.view, name, value)
+        viewer.message = ""
+        for _ in range(40):  # what is made in the background fails there
+            viewer.step(0.0)
+            if viewer.message:
+                break
+            time.sleep(0.05)
+        assert viewer.message
+        assert vars(viewer.view) == before
+
+    def broken(_pose: np.ndarray) -> np.ndarray:
+        raise RuntimeError("no rays today")
+
+    viewer.show.trace = broken
+    viewer.message = ""
+    viewer.view.left = "truth"
+    for _ in range(40):
+        viewer.step(0.0)
+        if viewer.message:
+            break
+        time.sleep(0.05)
+    assert "no rays today" in viewer.message
+    assert viewer.view.left == "prediction"
+
+
+def test_pictures_that_cannot_be_saved_are_told(viewer, tmp_path):
+    viewer.step(0.0)
+    viewer.out = tmp_path / "none"
+    press(viewer, "S", "T")
+    assert "none" in viewer.message
+    assert not list(tmp_path.iterdir())
+
+
+def test_truth_is_not_shown_before_it_is_known(viewer, tmp_path):
+    viewer.step(0.0)
+    viewer.view.playing, viewer.view.left = True, "truth"
+    viewer.step(0.0)
+    viewer.show.screen.clear(SIZE)
+    viewer.picture()
+    assert not viewer.show.screen.linear()[..., 3].any()  # nothing rather than the prediction
+    read(viewer, tmp_path / "stopped.png")
+    assert viewer.show.screen.linear()[..., 3].any()
+    assert not viewer.view.playing
+
+
+@pytest.mark.parametrize("kind", ["neural", "constant", "hybrid", "two-sided"])
+def test_the_command_opens_what_it_is_given(window, tmp_path, monkeypatch, kind):
+    actor = modelled(arm(segments=6), kind == "two-sided")
+    model = actor.model
+    if kind == "constant":
+        model = random_model("constant", joints=2, receivers=len(actor.receivers))
+        model.metadata.update(actor.model.metadata)
+        model.rest_tangents[:] = actor.model.rest_tangents
+    if kind == "hybrid":
+        prior = random_prior("maps", 2, len(actor.receivers), model.order)
+        signal = np.zeros((len(actor.receivers), model.order**2), dtype=np.float32)
+        model = dataclasses.replace(model, prior=prior, signal=signal)
+    model.save(tmp_path / "arm.safetensors")
+    write_glb(arm(segments=6), tmp_path / "arm.glb")
+    files = tmp_path / "arm.safetensors", tmp_path / "arm.glb"
+    monkeypatch.setattr("runtime.viewer.open_window", lambda *_: window)
+    window.use()
+    options = ViewOptions(*files, out=tmp_path, rays=16, threads=1, brdf="phong")
+    found = opened_viewer(options, 1, lambda _: None)
+    found.step(0.01)
+    assert (found.show.latents is None) == (kind in ("constant", "hybrid"))
+    found.view.playing = False
+    found.view.left, found.view.right, found.view.split = "prediction", "truth", 0.5
+    picture = read(found, tmp_path / "seen.png")
+    assert np.ptp(picture) > 60
+    found.release()
+    with pytest.raises(PrtnetError, match="is no folder"):
+        opened_viewer(dataclasses.replace(options, out=tmp_path / "none"), 1, lambda _: None)
+    with pytest.raises(PrtnetError, match="has no clip"):
+        opened_viewer(dataclasses.replace(options, clip="bnd"), 1, lambda _: None)
+
+
 def test_a_turntable_is_a_row_of_pictures(viewer, tmp_path, monkeypatch):
     monkeypatch.setattr("runtime.viewer.TURNTABLE", 3)
     viewer.step(0.0)
     press(viewer, "T")
+    press(viewer, "T")  # beside the first, not over it
     files = sorted(path.name for path in tmp_path.glob("turn_*.png"))
-    assert files == [f"turn_000_{number:02d}.png" for number in range(3)]
+    assert files == [f"turn_{k:03d}_{number:02d}.png" for k in range(2) for number in range(3)]
 
 
 def test_no_display_is_told(monkeypatch):
