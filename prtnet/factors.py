@@ -17,7 +17,7 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.brdf import BRDF
 from prtnet.hemisphere import Mapping, cells
 
-__all__ = ["Factors", "factorise", "tabulate"]
+__all__ = ["Factors", "factorise", "harmonic_factors", "symmetries", "tabulate"]
 
 BLOCK = 1 << 20  # pairs of directions evaluated at a time
 
@@ -51,15 +51,57 @@ class Factors:
         factor only the upper hemisphere is ever seen, where the harmonics come closest to it.
         """
         out, area = cells(self.size, 4, self.mapping)
-        rows = sh.evaluate(out.reshape(-1, 3), max(light_order, view_order))
-        rows = rows.reshape(*area.shape, -1)
-        light = self.light @ np.einsum("sj,sjc->sc", area, rows[..., : light_order**2])
-        root = np.sqrt(area).reshape(-1, 1)
-        system = root * rows[..., : view_order**2].reshape(len(root), -1)
-        view = np.repeat(self.view, area.shape[1], axis=1)  # [k, V · J, 3]
-        right = np.moveaxis(view, 0, 1).reshape(len(root), -1) * root
-        fitted = np.linalg.lstsq(system, right, rcond=1e-6)[0]
-        return light, np.moveaxis(fitted.reshape(view_order**2, len(self.view), 3), 1, 0)
+        light = self.light @ integrals(out, area, light_order)
+        return light, fitted(self.view, out, area, view_order)
+
+
+def integrals(out: FloatArray, area: FloatArray, order: int) -> FloatArray:
+    """Integrals of the harmonics over cells, (S, n²), of directions and areas of ``cells``."""
+    rows = sh.evaluate(out.reshape(-1, 3), order).reshape(*area.shape, -1)
+    return np.asarray(np.einsum("sj,sjc->sc", area, rows))
+
+
+def fitted(view: FloatArray, out: FloatArray, area: FloatArray, order: int) -> FloatArray:
+    """Harmonics (k, m², 3) that come closest to view factors (k, V, 3) over solid angles."""
+    root = np.sqrt(area).reshape(-1, 1)
+    system = root * sh.evaluate(out.reshape(-1, 3), order)
+    right = np.moveaxis(np.repeat(view, area.shape[1], axis=1), 0, 1)  # [V · J, k, 3]
+    found = np.linalg.lstsq(system, right.reshape(len(root), -1) * root, rcond=1e-6)[0]
+    return np.moveaxis(found.reshape(order**2, len(view), 3), 1, 0)
+
+
+def harmonic_factors(
+    table: FloatArray,
+    count: int = 8,
+    light_order: int = 7,
+    view_order: int = 4,
+    mapping: Mapping = "concentric",
+) -> tuple[FloatArray, FloatArray]:
+    """The best factors for order-limited light, over the pixels that a ball shows.
+
+    Of the table only what harmonics of light can tell apart is taken apart, and a view counts as
+    much as it covers of a picture, the cosine. The plain decomposition spends factors on peaks at
+    grazing angles that such light cannot bring out, and few pixels show.
+
+    Args:
+        table: (V, S, 3) from :func:`tabulate`.
+        count: factors k; fewer where light has no more coefficients.
+        light_order: bands of light factors: 2n − 1 for light and visibility of n.
+        view_order: bands m of view factors.
+        mapping: of the table.
+
+    Returns:
+        Light factors (k, (2n − 1)²), orthonormal, and view factors (k, m², 3).
+    """
+    views, lights, _ = table.shape
+    out, area = cells(round(lights**0.5), 4, mapping)
+    told = np.moveaxis(table, 2, 1).astype(np.float64) @ integrals(out, area, light_order)
+    covered = area * np.maximum(out[..., 2], 0.0)
+    weight = np.sqrt(covered.sum(axis=1))[:, None]
+    flat = (told * weight[:, None]).reshape(3 * views, -1)
+    light = np.linalg.eigh(flat.T @ flat)[1][:, ::-1][:, :count].T
+    view = np.moveaxis(told @ light.T, -1, 0)  # [k, V, 3]
+    return light, fitted(view, out, covered, view_order)
 
 
 def tabulate(

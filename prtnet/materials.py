@@ -23,10 +23,10 @@ from prtnet.brdf import (
     Schlick,
 )
 from prtnet.errors import PrtnetError, nearest_name
-from prtnet.factors import factorise, tabulate
+from prtnet.factors import harmonic_factors, tabulate
 from prtnet.merl import read_merl
 from prtnet.operators import cosine_matrix
-from prtnet.reflection import ReflectionOperator, reflection_operator
+from prtnet.reflection import ReflectionOperator, operator_of
 
 __all__ = ["BRDFS", "PRESETS", "brdf_named", "material"]
 
@@ -114,4 +114,4 @@ def material(
         view[0, 0] = np.sqrt(4.0 * np.pi) * np.asarray(brdf.diffuse) / np.pi
         return ReflectionOperator(cosine_matrix(order)[None].astype(np.float32), view)
     table = tabulate(brdf, samples=SAMPLES)
-    return reflection_operator(factorise(table, factors), order, view_order)
+    return operator_of(*harmonic_factors(table, factors, 2 * order - 1, view_order), order)

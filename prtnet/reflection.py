@@ -16,7 +16,7 @@ from prtnet.errors import PrtnetError
 from prtnet.factors import Factors
 from prtnet.storage import HALF_LIMIT
 
-__all__ = ["LOWEST", "ReflectionOperator", "local_view", "reflection_operator"]
+__all__ = ["LOWEST", "ReflectionOperator", "local_view", "operator_of", "reflection_operator"]
 
 LOWEST = 1e-4  # cosine that views from below the horizon are raised to
 
@@ -108,7 +108,11 @@ def reflection_operator(
         order: n of light and visibility.
         view_order: m of the view factors.
     """
-    light, view = factors.projected(2 * order - 1, view_order)
+    return operator_of(*factors.projected(2 * order - 1, view_order), order)
+
+
+def operator_of(light: FloatArray, view: FloatArray, order: int) -> ReflectionOperator:
+    """The operator of light factors (k, (2n − 1)²) and view factors (k, m², 3) in harmonics."""
     product = sh.triple_product(order, order, 2 * order - 1)  # [n², n², (2n − 1)²]
     matrices = np.moveaxis(product @ light.T, -1, 0)
     return ReflectionOperator(matrices.astype(np.float32), view.astype(np.float32))

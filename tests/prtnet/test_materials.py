@@ -5,10 +5,11 @@ import pytest
 
 from prtnet import sh
 from prtnet.brdf import GGX, AshikhminShirley, CookTorrance, Lambert, Phong, Schlick
+from prtnet.environment import environment
 from prtnet.errors import PrtnetError
-from prtnet.factors import factorise, symmetries, tabulate
+from prtnet.factors import factorise, harmonic_factors, symmetries, tabulate
 from prtnet.materials import BRDFS, PRESETS, SAMPLES, brdf_named, material
-from prtnet.reflection import reflection_operator
+from prtnet.reflection import operator_of, reflection_operator
 
 
 def test_names_stand_for_brdfs_and_their_parameters():
@@ -59,7 +60,7 @@ def test_a_diffuse_material_is_exact(order):
 
 def test_other_materials_are_their_factors():
     operator = material(Phong(), 3, 3, 2)
-    same = reflection_operator(factorise(tabulate(Phong(), samples=SAMPLES), 3), 3, 2)
+    same = operator_of(*harmonic_factors(tabulate(Phong(), samples=SAMPLES), 3, 5, 2), 3)
     assert np.array_equal(operator.matrices, same.matrices)
     assert operator.view.shape == (3, 4, 3)
 
@@ -79,3 +80,27 @@ def test_symmetries_are_as_many_as_there_are():
     assert [len(symmetries(4, *pair)) for pair in ((0, 0), (0, 1), (1, 0), (1, 1))] == [1, 4, 4, 8]
     for moved in symmetries(4, True, True):
         assert sorted(moved) == list(range(16))
+
+
+@pytest.mark.parametrize("name", ["copper", "satin", "plastic"])
+def test_factors_for_order_limited_light_err_less_than_the_plain_ones(name):
+    """Of an open ball in a picture, against the integral itself."""
+    brdf = brdf_named(name)
+    views = sh.fibonacci_hemisphere(60)
+    views = views[views[:, 2] > 0.1]
+    directions = sh.fibonacci_hemisphere(4096)
+    light = environment("studio").harmonics(4)
+    arriving = sh.evaluate(directions, 4) @ light * directions[:, 2:] * (2 * np.pi / 4096)
+    exact = np.stack([(brdf(directions, view[None]) * arriving).sum(axis=0) for view in views])
+    visibility = np.eye(16)[0] * np.sqrt(4 * np.pi)
+
+    def error(operator):
+        seen = operator.radiance(light, visibility, views)
+        return np.sqrt((views[:, 2:] * (seen - exact) ** 2).sum())
+
+    table = tabulate(brdf, samples=SAMPLES)
+    plain = reflection_operator(factorise(table, 8), 4, 4)
+    assert error(material(brdf)) < 0.6 * error(plain)
+    # With all the factors that such light can tell apart, bands of the view are what is left.
+    every = operator_of(*harmonic_factors(table, 49, 7, 8), 4)
+    assert error(every) < 0.3 * error(material(brdf))
