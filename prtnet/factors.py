@@ -92,7 +92,12 @@ def harmonic_factors(
 
     Returns:
         Light factors (k, (2n − 1)²), orthonormal, and view factors (k, m², 3).
+
+    Raises:
+        ValueError: no factor is asked for.
     """
+    if count < 1:
+        raise ValueError(f"a material needs at least one factor, not {count}")
     views, lights, _ = table.shape
     out, area = cells(round(lights**0.5), 4, mapping)
     told = np.moveaxis(table, 2, 1).astype(np.float64) @ integrals(out, area, light_order)

@@ -104,3 +104,9 @@ def test_factors_for_order_limited_light_err_less_than_the_plain_ones(name):
     # With all the factors that such light can tell apart, bands of the view are what is left.
     every = operator_of(*harmonic_factors(table, 49, 7, 8), 4)
     assert error(every) < 0.3 * error(material(brdf))
+
+
+def test_factors_are_at_least_one_and_at_most_what_light_tells_apart():
+    with pytest.raises(ValueError, match="at least one factor"):
+        material(brdf_named("phong"), 0)
+    assert len(material(brdf_named("phong"), 60, 2).matrices) == 9
