@@ -15,7 +15,7 @@ from tables import CHARACTERS, OUT, ROOT, SCENES, publish, scene_path
 
 from data_gen.radiance import trace_radiance
 from data_gen.readers import read_scene
-from data_gen.visibility import trace_pose
+from data_gen.truth import true_visibility
 from prtnet import sh
 from prtnet.arrays import FloatArray
 from prtnet.brdf import BRDF
@@ -26,7 +26,7 @@ from prtnet.modelled_scene import ModelledScene
 from prtnet.reflection import local_view
 from prtnet.zh import exact_lobes, fit_lobes
 from runtime.camera import Camera
-from runtime.draw import Renderer, opened, render, render_material
+from runtime.draw import Renderer, opened, render_colours, render_material
 from runtime.picture import Panel, auto_exposure, compose_panels, develop, save_png
 from runtime.posed_surface import coloured_surface, posed_subject
 
@@ -52,12 +52,12 @@ class Scene:
         self.renderer = renderer
         actor = self.actor
         self.given = (actor.scene, actor.receivers, actor.frame_field, self.pose)
-        self.visibility = trace_pose(*self.given, self.model.order, RAYS, 2)[0]
+        self.visibility = true_visibility(actor, self.pose, RAYS, 2)
 
     def coloured(self, radiance: FloatArray) -> FloatArray:
         """The picture of receivers' radiance."""
         surface = coloured_surface(self.actor, self.pose, radiance)
-        return render(self.renderer, surface, math.pi * np.eye(3), self.camera, SIZE, albedo=1.0)
+        return render_colours(self.renderer, surface, self.camera, SIZE)
 
     def traced(self, brdf: BRDF, light: Callable[[FloatArray], FloatArray]) -> FloatArray:
         """By rays, without limits."""

@@ -7,14 +7,22 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from data_gen.visibility import PoseTracer
+from data_gen.visibility import PoseTracer, trace_pose
+from prtnet.arrays import FloatArray
 from prtnet.evaluation import TruthBlock
 from prtnet.modelled_scene import ModelledScene
 from prtnet.time_range import part_of
 
-__all__ = ["scene_truth"]
+__all__ = ["scene_truth", "true_visibility"]
 
 BLOCK = 8  # poses
+
+
+def true_visibility(actor: ModelledScene, pose: FloatArray, rays: int, threads: int) -> FloatArray:
+    """Ray-traced visibility (V, n²) of one flattened pose (1, D), in the model's frames."""
+    return trace_pose(
+        actor.scene, actor.receivers, actor.frame_field, pose, actor.model.order, rays, threads
+    )[0]
 
 
 def scene_truth(

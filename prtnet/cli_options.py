@@ -36,6 +36,12 @@ def at_least(option: str, value: float | None, least: float) -> None:
         raise PrtnetError(option, f"is {value:g}; it must be a number, at least {least:g}")
 
 
+def fits_a_shader(lobes: int | None, factors: int) -> None:
+    """Refuse more of either than shaders are made for."""
+    if (lobes or 0) > MOST_LOBES or factors > MOST_FACTORS:
+        raise PrtnetError("--lobes and --factors", f"are at most {MOST_LOBES}, {MOST_FACTORS}")
+
+
 def fraction_of(option: str, text: str | None) -> float | None:
     """The number in ``5%`` or ``0.05``.
 
@@ -154,8 +160,7 @@ class RenderOptions:
         at_least("--spin", self.spin, 1)
         if (self.spin or 1) > 999:
             raise PrtnetError("--spin", "is too many; give at most 999 pictures")
-        if (self.lobes or 1) > MOST_LOBES or self.factors > MOST_FACTORS:
-            raise PrtnetError("--lobes and --factors", f"are at most {MOST_LOBES}, {MOST_FACTORS}")
+        fits_a_shader(self.lobes, self.factors)
         if self.out.suffix.lower() != ".png":
             raise PrtnetError(self.out, "is no name of a PNG picture; end it in .png")
         if max(self.size) > 8192:
@@ -184,8 +189,7 @@ class ViewOptions:
         at_least("--threads", self.threads, 1)
         at_least("--lobes", self.lobes, 0)
         at_least("--factors", self.factors, 1)
-        if self.lobes > MOST_LOBES or self.factors > MOST_FACTORS:
-            raise PrtnetError("--lobes and --factors", f"are at most {MOST_LOBES}, {MOST_FACTORS}")
+        fits_a_shader(self.lobes, self.factors)
         if max(self.size) > 8192:
             raise PrtnetError("--size", "is too large; give at most 8192x8192")
 

@@ -20,15 +20,16 @@ from prtnet.modelled_scene import ModelledScene
 from prtnet.zh import Lobes, exact_lobes, fewest_lobes, fit_lobes, relative_error
 
 if TYPE_CHECKING:
+    from prtnet.animation import Clip
     from prtnet.arrays import FloatArray
     from prtnet.brdf import BRDF
-    from prtnet.cli_options import RenderOptions
+    from prtnet.cli_options import RenderOptions, ViewOptions
     from prtnet.console import Console
     from prtnet.reflection import ReflectionOperator
     from runtime.camera import Camera
     from runtime.draw import Renderer
 
-__all__ = ["make_picture"]
+__all__ = ["make_picture", "staged"]
 
 FEW_LOBES = 3  # of a colour
 LOBE_ERROR = 1e-3  # relative, of the light
@@ -66,23 +67,10 @@ class Shot:
         subject = posed_subject(self.actor, self.pose, visibility)
         return render_material(renderer, subject, self.lobes, self.operator, self.camera, self.size)
 
-    def truth(self, renderer: Renderer, kind: str, rays: int, threads: int) -> FloatArray:
-        """The picture with ray-traced ``visibility``, or of light that is traced: the ``truth``."""
-        if kind == "truth":
-            return self.traced(renderer, rays, threads)
-        from data_gen.visibility import trace_pose
-
-        actor = self.actor
-        visibility = trace_pose(
-            actor.scene, actor.receivers, actor.frame_field, self.pose, actor.model.order, rays,
-            threads,
-        )  # fmt: skip
-        return self.of(renderer, visibility[0])
-
     def traced(self, renderer: Renderer, rays: int, threads: int) -> FloatArray:
         """The picture of light traced without limits of bands, factors or lobes."""
         from data_gen.radiance import trace_radiance
-        from runtime.draw import render
+        from runtime.draw import render_colours
         from runtime.posed_surface import coloured_surface
 
         actor = self.actor
@@ -91,7 +79,7 @@ class Shot:
             np.asarray(self.camera.eye), self.light.radiance, self.brdf, rays, threads,
         )  # fmt: skip
         surface = coloured_surface(actor, self.pose, radiance)
-        return render(renderer, surface, np.pi * np.eye(3), self.camera, self.size, albedo=1.0)
+        return render_colours(renderer, surface, self.camera, self.size)
 
 
 def make_picture(options: RenderOptions, threads: int, console: Console) -> dict[str, Any]:
@@ -101,43 +89,46 @@ def make_picture(options: RenderOptions, threads: int, console: Console) -> dict
         PrtnetError: model and scene do not belong together, there is no such clip, time, light or
             material, or the picture cannot be written.
     """
-    from data_gen.readers import read_scene, require_clips
+    from data_gen.truth import true_visibility
     from runtime.camera import Camera
     from runtime.draw import opened, usable
     from runtime.picture import auto_exposure, comparison, develop, save_png
 
-    model = VisibilityModel.load(options.model)
     light = environment(options.light).turned(options.light_turn)
     brdf = brdf_named(options.brdf)
+    actor, clip = staged(options)
+    model = actor.model
     lobes = lobes_of(light.harmonics(model.order, options.dering), options.lobes)
-    scene = read_scene(options.scene)
-    require_clips(scene)
-    actor = ModelledScene(model, scene)
-    clip = scene.clip(options.clip) if options.clip else scene.clips[0]
     time = (clip.start + clip.end) / 2 if options.time is None else options.time
     pose = actor.poses(clip.name, np.array([time]))
     with console.progress() as report:
         report("material", 0, 0)
         operator = material(brdf, options.factors, model.order)
-    positions = scene.geometry(pose).positions[0]
+    positions = actor.scene.geometry(pose).positions[0]
     camera = Camera.framing(positions, options.size[0] / options.size[1])
     shot = Shot(actor, pose, camera, light, lobes, brdf, operator, options.size)
+    pictures = pictures_of(options)
     facts = {
-        "out": [path for path, _ in pictures_of(options)] if options.spin else options.out,
+        "out": options.out if options.spin is None else [path for path, _ in pictures],
         "clip": clip.name, "time": time, "size": options.size,
         "brdf": options.brdf, "lobes": lobes.axes.shape[1],
     }  # fmt: skip
-    predicted = model(pose)[0]
+    predicted, visibility = model(pose)[0], None
     errors = []
     exposure: float | None = None
     with opened(options.renderer or usable(console.message)) as renderer:
-        for path, turn in pictures_of(options):
+        for path, turn in pictures:
             own = dataclasses.replace(shot, camera=camera.around(turn))
             linear, truth = own.of(renderer, predicted), None
             if options.compare is not None:
                 with console.progress() as report:
                     report("tracing the truth", 0, 0)
-                    truth = own.truth(renderer, options.compare, options.rays, threads)
+                    if options.compare == "truth":
+                        truth = own.traced(renderer, options.rays, threads)
+                    else:
+                        if visibility is None:  # the same from all around
+                            visibility = true_visibility(actor, pose, options.rays, threads)
+                        truth = own.of(renderer, visibility)
             if exposure is None:  # one for all pictures around
                 exposure = auto_exposure(linear if truth is None else truth)
             if truth is None:
@@ -150,6 +141,21 @@ def make_picture(options: RenderOptions, threads: int, console: Console) -> dict
     if errors:
         facts["error_in_per_cent_of_white"] = errors[0] if options.spin is None else errors
     return facts
+
+
+def staged(options: RenderOptions | ViewOptions) -> tuple[ModelledScene, Clip]:
+    """The model on its scene, and the clip asked for or the first.
+
+    Raises:
+        PrtnetError: a file cannot be used, they do not belong together, or there is no such clip.
+    """
+    from data_gen.readers import read_scene, require_clips
+
+    model = VisibilityModel.load(options.model)
+    scene = read_scene(options.scene)
+    require_clips(scene)
+    clip = scene.clip(options.clip) if options.clip else scene.clips[0]
+    return ModelledScene(model, scene), clip
 
 
 def pictures_of(options: RenderOptions) -> list[tuple[Path, float]]:

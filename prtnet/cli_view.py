@@ -10,13 +10,12 @@ import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from prtnet.cli_render import staged
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
 from prtnet.gpu_tables import gpu_tables
 from prtnet.materials import BRDFS, brdf_named
 from prtnet.materials import PRESETS as MATERIALS
-from prtnet.model import VisibilityModel
-from prtnet.modelled_scene import ModelledScene
 from prtnet.presets import PRESETS as LIGHTS
 
 if TYPE_CHECKING:
@@ -36,27 +35,21 @@ def opened_viewer(
         PrtnetError: model and scene do not belong together, there is no such clip, light or
             material, or no window can be opened.
     """
-    from data_gen.readers import read_scene, require_clips
-    from data_gen.visibility import trace_pose
+    from data_gen.truth import true_visibility
     from runtime.onnx_model import OnnxLatents, OnnxModel
     from runtime.show import Show, View
     from runtime.viewer import Viewer, open_window
     from training.onnx_export import build_latent_onnx, build_onnx
 
-    model = VisibilityModel.load(options.model)
     environments = functools.cache(environment)
     environments(options.light)
     brdf_named(options.brdf)
-    scene = read_scene(options.scene)
-    require_clips(scene)
-    actor = ModelledScene(model, scene)
-    clip = scene.clip(options.clip) if options.clip else scene.clips[0]
+    actor, clip = staged(options)
+    model = actor.model
     predict = OnnxModel(build_onnx(model).SerializeToString(), threads)
 
     def trace(pose: FloatArray) -> FloatArray:
-        return trace_pose(
-            scene, actor.receivers, actor.frame_field, pose, model.order, options.rays, threads
-        )[0]
+        return true_visibility(actor, pose, options.rays, threads)
 
     latents = None
     if model.prior is None and model.latents.sum() > 0:

@@ -12,10 +12,8 @@ import numpy as np
 
 from prtnet.arrays import FloatArray
 from prtnet.environment import environment
-from prtnet.equirectangular import project_equirectangular
-from prtnet.presets import PRESETS
 
-__all__ = ["PRESETS", "load_light", "project_equirectangular"]
+__all__ = ["load_light"]
 
 
 def load_light(name_or_path: str | Path, order: int = 4, dering: float = 0.0) -> FloatArray:

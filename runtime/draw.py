@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator
 from typing import Literal, Protocol
 
@@ -17,7 +18,15 @@ from runtime.rasteriser import rasterise
 from runtime.reflected import Subject, outgoing_radiance
 from runtime.shading import Surface, reflected_light
 
-__all__ = ["Renderer", "RendererName", "opened", "render", "render_material", "usable"]
+__all__ = [
+    "Renderer",
+    "RendererName",
+    "opened",
+    "render",
+    "render_colours",
+    "render_material",
+    "usable",
+]
 
 SIDE_LIMIT = 1 << 14  # samples; also what OpenGL and the rasteriser's integers can hold
 SAMPLE_LIMIT = 1 << 26
@@ -78,9 +87,8 @@ class CPURenderer:
             for side in subject.sides
         ]
         matrix = camera.matrix(size[0] / size[1])
-        return rasterise(
-            subject.positions, subject.faces, colours[0], matrix, size, (*colours, None)[1]
-        )
+        back = None if subject.back is None else colours[1]
+        return rasterise(subject.positions, subject.faces, colours[0], matrix, size, back)
 
 
 @contextlib.contextmanager
@@ -144,6 +152,13 @@ def render(
         finer(size, samples),
     )
     return averaged(fine, size)
+
+
+def render_colours(
+    renderer: Renderer, surface: Surface, camera: Camera, size: tuple[int, int]
+) -> FloatArray:
+    """A picture of a surface whose transfer is the linear colour of every vertex, as ``render``."""
+    return render(renderer, surface, math.pi * np.eye(3), camera, size, albedo=1.0)
 
 
 def render_material(

@@ -14,7 +14,7 @@ from PIL import Image
 from prtnet.arrays import FloatArray
 from prtnet.dataset import Dataset
 from runtime.camera import Camera
-from runtime.draw import Renderer, render
+from runtime.draw import Renderer, render, render_colours
 from runtime.picture import (
     auto_exposure,
     backdrop,
@@ -77,7 +77,7 @@ def draw_error(
     exposure = auto_exposure(shaded)
     guess = render(renderer, recorded_surface(dataset, row, predicted), light, camera, size)
     wrong = painted(surface, 100.0 * vertex_error(predicted, truth) / top)
-    heat = render(renderer, wrong, math.pi * np.eye(3), camera, size, albedo=1.0)
+    heat = render_colours(renderer, wrong, camera, size)
     return ErrorPictures(develop(guess, exposure), develop(shaded, exposure), heat_picture(heat))
 
 

@@ -40,7 +40,7 @@ def posed_subject(
 def coloured_surface(actor: ModelledScene, pose: FloatArray, colours: FloatArray) -> Surface:
     """The render mesh in one pose, with a colour (V, 3) of every receiver.
 
-    Its transfer is that colour: a light of π times the unit matrix shows it as it is.
+    Its transfer is that colour: see ``runtime.draw.render_colours``.
     """
     front, back = sides(actor)
     return Surface(

@@ -123,13 +123,7 @@ class Stage:
         for name, array in arrays.items():
             if len(array) > limit:
                 raise PrtnetError("model", "is too large for a texture here; train a smaller one")
-            upload, internal = UPLOADS[array.dtype.name]
-            texture = self.context.texture(
-                array.shape[1::-1], array.shape[2], np.ascontiguousarray(array), dtype=upload,
-                internal_format=internal,
-            )  # fmt: skip
-            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-            self._held[f"prtnet_{name}"] = texture
+            self._held[f"prtnet_{name}"] = self._texture(array)
         self._latents = latents
 
     def show_latents(
@@ -165,8 +159,7 @@ class Stage:
         for name in SIDES if both else SIDES[:1]:
             held[f"{name}_frames"] = self.context.buffer(reserve=max(1, 24 * count))
             if self._latents is None:
-                size = (self.columns * self.texels, max(1, rows))
-                held[f"{name}_visibility"] = self._texture(size)
+                held[f"{name}_visibility"] = self._texture(self._padded(subject.front, rows))
             else:
                 held[f"{name}_receivers"] = self.context.buffer(reserve=max(1, 4 * count))
         seen = "front", "back" if both else "front"
@@ -203,12 +196,17 @@ class Stage:
 
     def _padded(self, side: Side, rows: int) -> Any:
         """Visibility (V, n²) as whole texels and rows."""
-        data = np.zeros((rows * self.columns, 4 * self.texels), dtype="f4")
+        data = np.zeros((max(1, rows) * self.columns, 4 * self.texels), dtype="f4")
         data[: len(side.visibility), : self.order**2] = side.visibility
-        return data
+        return data.reshape(-1, self.columns * self.texels, 4)
 
-    def _texture(self, size: tuple[int, int], data: Any = None) -> Any:
-        texture = self.context.texture(size, 4, data, dtype="f4")
+    def _texture(self, array: Any) -> Any:
+        """Of an array (height, width, components), to be fetched texel by texel."""
+        upload, internal = UPLOADS[array.dtype.name]
+        texture = self.context.texture(
+            array.shape[1::-1], array.shape[2], np.ascontiguousarray(array), dtype=upload,
+            internal_format=internal,
+        )  # fmt: skip
         texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         return texture
 
@@ -249,8 +247,8 @@ class Stage:
         for name in ("matrices", "view_factors"):
             if name in self._held:
                 self._held.pop(name).release()
-        self._held["matrices"] = self._texture((self.texels, factors * size), matrices)
-        self._held["view_factors"] = self._texture((coefficients, factors), view)
+        self._held["matrices"] = self._texture(matrices.reshape(factors * size, self.texels, 4))
+        self._held["view_factors"] = self._texture(view)
         self._material = operator
         self._set("factors", factors)
         self._set("view_coefficients", coefficients)

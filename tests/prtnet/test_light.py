@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from prtnet import sh
+from prtnet.equirectangular import project_equirectangular
 from prtnet.errors import PrtnetError
-from prtnet.light import load_light, project_equirectangular
+from prtnet.light import load_light
 from tests.prtnet.test_equirectangular import axis_of
 from tests.prtnet.test_hdr import encode, flat
 

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from scipy.spatial.transform import Rotation
 
 from prtnet import sh
-from prtnet.light import PRESETS, load_light
+from prtnet.light import load_light
+from prtnet.presets import PRESETS
 from prtnet.sh_rotation import rotate
 from prtnet.zh import Lobes, exact_lobes, fewest_lobes, fit_lobes, misfit, relative_error
 
