@@ -1,0 +1,141 @@
+"""The Phong operator and 1D BRDFs at their ends: exponents, orders, poles, darkness."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+
+from prtnet import sh
+from prtnet.phong import phong_matrix, phong_transfer, phong_zonal
+from prtnet.sh_rotation import rotate
+from prtnet.zh import Lobes
+from runtime.one_dimensional import (
+    LobeSide,
+    OneDimensional,
+    above_horizon,
+    frame_around,
+    lobe_radiance,
+    one_dimensional_radiance,
+)
+from tests.prtnet.test_phong import exact_matrix, scale_of
+from tests.runtime.lobes import random_light, random_lobes, random_side
+
+EXPONENTS = (0.0, 0.5, 1.0, 1e3, 1e5)
+POLES = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+
+
+@pytest.mark.parametrize("alpha", EXPONENTS)
+@pytest.mark.parametrize("order", range(1, 11))
+def test_float32_keeps_every_entry(order, alpha):
+    """Also those of m > 0, which fall like α^−m: down to where float32 ends."""
+    expected = exact_matrix(alpha, order)
+    got = phong_matrix(np.float32(alpha), order).astype(np.float64)
+    assert (np.abs(got - expected) <= 3e-7 * order * scale_of(expected) + 1e-37).all()
+
+
+@pytest.mark.parametrize("alpha", [1e-30, 1e6, 1e12, 1e30, 1e38])
+@pytest.mark.parametrize("order", [1, 4, 10])
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_the_limits_are_reached_and_not_passed(kind, order, alpha):
+    """No overflow on the way: the mean over the hemisphere, or a mirror."""
+    vector = np.random.default_rng(0).normal(size=order**2).astype(kind)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        got = phong_transfer(alpha, vector)
+        zonal = phong_zonal(kind(alpha), order)
+        assert np.isfinite(phong_matrix(kind(alpha), order)).all()
+    if alpha < 1.0:
+        expected = phong_transfer(0.0, vector)
+        np.testing.assert_allclose(zonal, phong_zonal(0.0, order), atol=1e-7)
+    else:
+        up = sh.evaluate(np.array([0.0, 0.0, 1.0]), order)
+        expected = (up @ vector) * up
+        np.testing.assert_allclose(zonal, 1.0, atol=2e-4)
+    np.testing.assert_allclose(got, expected, atol=2e-3)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 10])
+def test_it_never_takes_light_away(order):
+    """A lobe is positive: so is every function seen through it."""
+    for alpha in EXPONENTS:
+        values = np.linalg.eigvalsh(phong_matrix(alpha, order))
+        assert values.min() > -1e-13
+
+
+@pytest.mark.parametrize("axis", [*POLES, [0.0, 1e-9, -1.0], [1e-4, -1e-4, 1.0], [1.0, 0.0, -0.0],
+                                  [0.6, 0.8, -1e-17]])  # fmt: skip
+def test_axes_at_and_beside_the_poles(axis):
+    """Turned by matrices instead of axes; whichever way frames turn around the axis."""
+    order = 4
+    axis = np.array(axis) / np.linalg.norm(axis)
+    visibility = random_lobes((1, 3), order, 0)
+    light = random_light(order)
+    own = Lobes(light.axes[None], light.coefficients)
+    got = lobe_radiance(visibility, own, axis[None], 5.0)
+    frame = frame_around(axis)
+    np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-15)
+    spin = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    turn = (frame @ spin).T
+    seen, shed = rotate(visibility.harmonics()[0], turn), rotate(light.harmonics(), turn)
+    np.testing.assert_allclose(got[0], shed @ phong_transfer(5.0, seen), atol=1e-12)
+
+
+MIXED = OneDimensional(0.3, 0.4, 1e5, 0.2)
+
+
+def test_no_visibility_is_black():
+    side, light = random_side(7, 4), random_light(4)
+    dark = Lobes(side.visibility.axes, np.zeros_like(side.visibility.coefficients))
+    none, positions = LobeSide(dark, side.frames), np.zeros((7, 3))
+    eye = np.array([1.0, 2.0, 3.0])
+    assert not one_dimensional_radiance(positions, none, eye, light, MIXED, none).any()
+    # Nothing shadows what is transmitted when the other side is not known.
+    assert one_dimensional_radiance(positions, none, eye, light, MIXED).any()
+    white = OneDimensional(0.3, 0.4, 0.0)
+    assert not one_dimensional_radiance(positions, none, eye, light, white).any()
+
+
+def test_no_light_and_no_vertices():
+    side, light = random_side(4, 3), random_light(3)
+    night = Lobes(light.axes, np.zeros_like(light.coefficients))
+    eye = np.ones(3)
+    assert not one_dimensional_radiance(np.zeros((4, 3)), side, eye, night, MIXED).any()
+    empty = LobeSide(
+        Lobes(side.visibility.axes[:0], side.visibility.coefficients[:0]), side.frames[:0]
+    )
+    seen = one_dimensional_radiance(np.zeros((0, 3)), empty, eye, light, MIXED)
+    assert seen.shape == (0, 3)
+
+
+@pytest.mark.parametrize("alpha", EXPONENTS)
+def test_eyes_in_a_vertex_and_behind_it_see_something_finite(alpha):
+    side, light = random_side(5, 4), random_light(4)
+    material = OneDimensional(0.3, 0.4, alpha, 0.2)
+    behind = -1e6 * side.frames[0, :, 2]
+    for eye in (np.zeros(3), behind):
+        seen = one_dimensional_radiance(np.zeros((5, 3)), side, eye, light, material)
+        assert np.isfinite(seen).all()
+
+
+@pytest.mark.parametrize("order", [4, 6])
+def test_a_white_world_reflects_what_it_is_given(order):
+    """White furnace: open vertices reflect the sum of their factors, at every exponent."""
+    count = 6
+    side = random_side(count, order)
+    open_lobes = Lobes(side.visibility.axes[:, :1], np.zeros((count, 1, order)))
+    open_lobes.coefficients[..., 0] = 4.0 * math.pi
+    world = Lobes(np.broadcast_to(POLES[0], (3, 1, 3)), np.zeros((3, 1, order)))
+    world.coefficients[..., 0] = 4.0 * math.pi
+    positions = np.random.default_rng(0).normal(size=(count, 3))
+    for alpha in EXPONENTS:
+        material = OneDimensional(0.25, 0.5, alpha, 0.125)
+        seen = one_dimensional_radiance(
+            positions, LobeSide(open_lobes, side.frames), np.array([5.0, 0, 0]), world, material
+        )
+        np.testing.assert_allclose(seen, 0.875, atol=1e-6)
+        above = LobeSide(above_horizon(open_lobes), side.frames)
+        cut = one_dimensional_radiance(positions, above, np.array([5.0, 0, 0]), world, material)
+        assert (cut < 0.875 + 0.06).all()  # rings, but makes no light
