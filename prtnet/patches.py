@@ -89,10 +89,17 @@ class PatchSurroundings(Surroundings):
 
     @cached_property
     def carry(self) -> scipy.sparse.csr_array:
-        """(R, vertices): from positions to carried tangents."""
-        rows = np.repeat(np.arange(len(self.vertex)), self.carry_vertex.shape[1])
+        """(R, vertices): from positions to carried tangents.
+
+        Weights that are rounded when they are stored do not add up to zero; what is left of them
+        is taken from the receiver's own vertex, so that the place of the sheet does not matter.
+        """
+        rows = np.repeat(np.arange(len(self.vertex)), 1 + self.carry_vertex.shape[1])
+        weight = self.carry_weight.astype(np.float64)
+        weight = np.concatenate([weight, -weight.sum(axis=1, keepdims=True)], axis=1)
+        vertex = np.concatenate([self.carry_vertex, self.vertex[:, None]], axis=1)
         return scipy.sparse.csr_array(
-            (self.carry_weight.ravel().astype(np.float64), (rows, self.carry_vertex.ravel())),
+            (weight.ravel(), (rows, vertex.ravel())),
             shape=(len(self.vertex), self.patch.shape[1]),
         )
 
