@@ -25,7 +25,7 @@ from prtnet.sh import fibonacci_sphere
 from prtnet.zh import Lobes, exact_lobes, fit_lobes
 from runtime.camera import Camera
 from runtime.gl import create_context
-from runtime.onnx_model import OnnxLatents
+from runtime.onnx_model import OnnxPart
 from runtime.posed_surface import posed_subject, sides
 from runtime.reflected import Side, Subject
 from runtime.screen import Screen
@@ -56,7 +56,7 @@ def character(name: str, context: moderngl.Context) -> list[list[str]]:
     found = actor.scene.clip(clip)
     pose = actor.poses(clip, np.array([(found.start + found.end) / 2]))
     tables = gpu_tables(model)
-    onnx = OnnxLatents(build_latent_onnx(model, tables.latent_scale).SerializeToString(), 2)
+    onnx = OnnxPart(build_latent_onnx(model, tables.latent_scale).SerializeToString(), 2)
     latents = onnx(pose)[0]
     front, back = sides(actor)
     receivers = [front] if back is None else [front, back]

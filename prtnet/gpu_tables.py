@@ -2,7 +2,7 @@
 
 Every receiver's numbers lie together in one texture: its mean, then its row of each component of
 its group, four coefficients a texel. A scale that a whole component shares is left to the latents,
-so that a texel is used as it is.
+so that a texel is used as it is. What a prior adds is in ``prtnet.gpu_prior``.
 """
 
 from __future__ import annotations
@@ -16,23 +16,14 @@ import numpy as np
 
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
+from prtnet.glsl import WIDTH, filled, texel_format, texture, vectors
+from prtnet.gpu_prior import PriorTables, prior_tables
 from prtnet.model import VisibilityModel
 from prtnet.storage import MOST
 
-__all__ = [
-    "COUNT_BITS",
-    "FORMATS",
-    "WIDTH",
-    "GPUTables",
-    "glsl",
-    "gpu_tables",
-    "write_gpu_tables",
-]
+__all__ = ["COUNT_BITS", "GPUTables", "glsl", "gpu_tables", "write_gpu_tables"]
 
-WIDTH = 2048  # texels in a row of a texture; every WebGL 2 device has at least this
 COUNT_BITS = 12  # of a receiver's second number: its latents, below them where they begin
-
-FORMATS = {"int4": "RGBA8_SNORM", "int8": "RGBA8_SNORM", "float16": "RGBA16F", "float32": "RGBA32F"}
 
 GLSL = """\
 // Visibility of a receiver from a pose's latents: GLSL 3.30 and GLSL ES 3.00 (WebGL 2).
@@ -52,7 +43,7 @@ highp ivec2 prtnet_place(highp int index) {
     return ivec2(index % PRTNET_WIDTH, index / PRTNET_WIDTH);
 }
 
-// Coefficient i is v[i / 4][i % 4], in the receiver's local frame.
+$PRIOR// Coefficient i is v[i / 4][i % 4], in the receiver's local frame.
 void prtnet_visibility(highp int receiver, out highp vec4 v[PRTNET_TEXELS]) {
     highp uvec2 entry = texelFetch(prtnet_receivers, prtnet_place(receiver), 0).xy;
     highp int texel = int(entry.x);
@@ -70,7 +61,27 @@ void prtnet_visibility(highp int receiver, out highp vec4 v[PRTNET_TEXELS]) {
                   * texelFetch(prtnet_rows, prtnet_place(texel + k), 0);
         }
     }
-}
+$ADDED}
+"""
+
+ADDED = """\
+    highp vec3 position;
+    highp mat3 frame;
+    prtnet_carried(receiver, position, frame);
+    highp vec4 known[PRTNET_TEXELS];
+    prtnet_prior(receiver, position, frame, known);
+    for (highp int k = 0; k < PRTNET_TEXELS; ++k) v[k] += known[k];
+"""
+
+BOUNDS = """\
+const highp vec4 PRTNET_LOW[PRTNET_TEXELS] = vec4[PRTNET_TEXELS]($LOW);
+const highp vec4 PRTNET_HIGH[PRTNET_TEXELS] = vec4[PRTNET_TEXELS]($HIGH);
+
+"""
+
+BOUNDED = """\
+    for (highp int k = 0; k < PRTNET_TEXELS; ++k)
+        v[k] = clamp(v[k], PRTNET_LOW[k], PRTNET_HIGH[k]);
 """
 
 
@@ -85,6 +96,8 @@ class GPUTables:
         mean_scale, mean_offset: mean = offset + scale · texel, (n²,) each.
         profile: what a coefficient's sum over components is multiplied by, (n²,).
         latent_scale: what each latent is to be multiplied by before a shader uses it, (Σ latents,).
+        prior: what is added; None for models without one.
+        bounds: that visibility is kept between, (2, n²); None for no bounds.
     """
 
     rows: Any
@@ -93,13 +106,22 @@ class GPUTables:
     mean_offset: FloatArray
     profile: FloatArray
     latent_scale: FloatArray
+    prior: PriorTables | None = None
+    bounds: FloatArray | None = None
+
+    @property
+    def textures(self) -> dict[str, Any]:
+        """Those that stay the same in all poses, by their names in GLSL."""
+        own = {"prtnet_rows": self.rows, "prtnet_receivers": self.receivers}
+        return own if self.prior is None else own | self.prior.textures
 
 
 def gpu_tables(model: VisibilityModel) -> GPUTables:
-    """The model's means and components laid out for a shader.
+    """The model's means, components and prior laid out for a shader.
 
     Raises:
-        PrtnetError: the model has more latents than a receiver's entry can count.
+        PrtnetError: the model has more latents than a receiver's entry can count, or no shader is
+            known for its prior.
     """
     starts = model.first_component
     if model.latents.max() >= 2**COUNT_BITS or model.latents.sum() >= 2 ** (32 - COUNT_BITS):
@@ -118,9 +140,7 @@ def gpu_tables(model: VisibilityModel) -> GPUTables:
     group, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
     counts = model.latents[group].astype(np.int64)
     first = np.cumsum((1 + counts) * texels) - (1 + counts) * texels
-    total = int(((1 + counts) * texels).sum())
-    height = -(-total // WIDTH)
-    flat = np.zeros((height * WIDTH, 4), dtype=values.dtype)
+    flat = np.zeros((int(((1 + counts) * texels).sum()), 4), dtype=values.dtype)
     mean_rows = by_slot(mean.values, coefficients)
     basis_rows = by_slot(values, coefficients)
     for row in range(1 + int(model.latents.max())):  # of all receivers that have so many
@@ -130,17 +150,20 @@ def gpu_tables(model: VisibilityModel) -> GPUTables:
         padded[:, :coefficients] = source[at[has], slot[has]]
         place = first[has, None] + row * texels + np.arange(texels)
         flat[place] = padded.reshape(len(has), texels, 4)
-    entries = np.zeros((-(-len(group) // WIDTH) * WIDTH, 2), dtype=np.uint32)
-    entries[: len(group), 0] = first
-    entries[: len(group), 1] = (starts[group].astype(np.int64) << COUNT_BITS) | counts
+    entries = np.stack([first, (starts[group].astype(np.int64) << COUNT_BITS) | counts], axis=1)
     offset = np.zeros(coefficients) if mean.offset is None else mean.offset
+    prior = None
+    if model.prior is not None:
+        prior = prior_tables(model.prior, lambda name: model.stored(f"prior.{name}"))
     return GPUTables(
-        flat.reshape(height, WIDTH, 4),
-        entries.reshape(-1, WIDTH, 2),
+        texture(flat),
+        texture(entries.astype(np.uint32)),
         np.broadcast_to(unit * mean.scale.ravel(), coefficients).astype(np.float32),
         offset.astype(np.float32),
         profile,
         np.broadcast_to(unit * scale[:, 0], len(values)).astype(np.float32),
+        prior,
+        model.bounds,
     )
 
 
@@ -153,30 +176,26 @@ def glsl(tables: GPUTables) -> str:
     """The shader include for these tables."""
     coefficients = len(tables.mean_scale)
     texels = -(-coefficients // 4)
+    prior, added = "", ""
+    if tables.prior is not None:
+        prior, added = tables.prior.glsl + "\n", ADDED
+    if tables.bounds is not None:
+        low, high = (vectors(bound, texels) for bound in tables.bounds)
+        prior += filled(BOUNDS, {"LOW": low, "HIGH": high})
+        added += BOUNDED
     words = {
-        "$WIDTH": str(WIDTH),
-        "$TEXELS": str(texels),
-        "$COEFFICIENTS": str(coefficients),
-        "$SCALE": vectors(tables.mean_scale, texels),
-        "$OFFSET": vectors(tables.mean_offset, texels),
-        "$PROFILE": vectors(tables.profile, texels),
-        "$BITS": str(COUNT_BITS),
-        "$MASK": str(2**COUNT_BITS - 1),
+        "WIDTH": WIDTH,
+        "TEXELS": texels,
+        "COEFFICIENTS": coefficients,
+        "SCALE": vectors(tables.mean_scale, texels),
+        "OFFSET": vectors(tables.mean_offset, texels),
+        "PROFILE": vectors(tables.profile, texels),
+        "BITS": COUNT_BITS,
+        "MASK": 2**COUNT_BITS - 1,
+        "PRIOR": prior,
+        "ADDED": added,
     }
-    text = GLSL
-    for word, value in words.items():
-        text = text.replace(word, value)
-    return text
-
-
-def vectors(values: FloatArray, texels: int) -> str:
-    """Numbers as GLSL vec4s, padded with zeros, as exact as float32."""
-    padded = np.zeros(4 * texels, dtype=np.float32)
-    padded[: len(values)] = values
-    return ", ".join(
-        "vec4(" + ", ".join(f"{float(value):.9e}" for value in four) + ")"
-        for four in padded.reshape(-1, 4)
-    )
+    return filled(GLSL, words)
 
 
 def write_gpu_tables(tables: GPUTables, folder: Path) -> None:
@@ -184,13 +203,10 @@ def write_gpu_tables(tables: GPUTables, folder: Path) -> None:
     textures: dict[str, Any] = {}
     offset = 0
     with open(folder / "gpu.bin", "wb") as file:
-        for name, array, texel in (
-            ("prtnet_rows", tables.rows, FORMATS[tables.rows.dtype.name]),
-            ("prtnet_receivers", tables.receivers, "RG32UI"),
-        ):
+        for name, array in tables.textures.items():
             little = array.astype(array.dtype.newbyteorder("<"))
             textures[name] = {
-                "format": texel,
+                "format": texel_format(array),
                 "dtype": array.dtype.name,
                 "shape": list(array.shape),
                 "byte_offset": offset,
@@ -198,10 +214,14 @@ def write_gpu_tables(tables: GPUTables, folder: Path) -> None:
             }
             offset += file.write(little.tobytes())
     latents = len(tables.latent_scale)
-    height = max(1, -(-latents // WIDTH))
-    shape = [height, WIDTH, 1]
-    textures["prtnet_latents"] = {"format": "R32F", "dtype": "float32", "shape": shape}
-    layout = {
+    posed = {"prtnet_latents": (latents, 1)}
+    if tables.prior is not None:
+        posed["prtnet_prior_pose"] = tables.prior.seen.posed_texels, 4
+    for name, (count, channels) in posed.items():
+        shape = [max(1, -(-count // WIDTH)), WIDTH, channels]
+        texel = "R32F" if channels == 1 else "RGBA32F"
+        textures[name] = {"format": texel, "dtype": "float32", "shape": shape}
+    layout: dict[str, Any] = {
         "file": "gpu.bin",
         "width": WIDTH,
         "count_bits": COUNT_BITS,
@@ -211,5 +231,9 @@ def write_gpu_tables(tables: GPUTables, folder: Path) -> None:
         "mean_offset": tables.mean_offset.tolist(),
         "profile": tables.profile.tolist(),
     }
+    if tables.bounds is not None:
+        layout["bounds"] = tables.bounds.tolist()
+    if tables.prior is not None:
+        layout["pose"] = tables.prior.seen.layout
     (folder / "gpu.json").write_text(json.dumps(layout, indent=1) + "\n", encoding="utf-8")
     (folder / "prtnet.glsl").write_text(glsl(tables), encoding="utf-8")

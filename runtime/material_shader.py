@@ -8,11 +8,11 @@ written out for the order, from the constants of :mod:`prtnet.sh`.
 
 from __future__ import annotations
 
+from prtnet.glsl import filled, harmonics_glsl
 from prtnet.gpu_tables import GPUTables, glsl
 from prtnet.reflection import LOWEST
-from prtnet.sh import polynomial
 
-__all__ = ["FRAGMENT_SHADER", "harmonics_glsl", "most_lobes", "vertex_shader"]
+__all__ = ["FRAGMENT_SHADER", "most_lobes", "vertex_shader"]
 
 MOST_LOBES = 11  # of each colour, at least: what holds any light of order 6
 
@@ -131,48 +131,17 @@ def vertex_shader(order: int, columns: int, tables: GPUTables | None = None) -> 
         tables: of a model, to rebuild visibility from its latents.
     """
     words = {
-        "$VISIBILITY": GIVEN if tables is None else glsl(tables) + REBUILT,
-        "$COEFFICIENTS": str(order**2),
-        "$ORDER": str(order),
-        "$COLUMNS": str(columns),
-        "$LOBES": str(most_lobes(order)),
-        "$LOWEST": f"{LOWEST:e}",
-        "$HARMONICS": harmonics_glsl(order),
+        "VISIBILITY": GIVEN if tables is None else glsl(tables) + REBUILT,
+        "COEFFICIENTS": order**2,
+        "ORDER": order,
+        "COLUMNS": columns,
+        "LOBES": most_lobes(order),
+        "LOWEST": f"{LOWEST:e}",
+        "HARMONICS": harmonics_glsl(order),
     }
-    text = VERTEX_SHADER
-    for word, value in words.items():
-        text = text.replace(word, value)
-    return text
+    return filled(VERTEX_SHADER, words)
 
 
 def most_lobes(order: int) -> int:
     """Of each colour: as many as hold any light of the order, or more."""
     return max(MOST_LOBES, 2 * order - 1)
-
-
-def harmonics_glsl(order: int) -> str:
-    """``void harmonics(vec3 d, out float y[n²])``: the basis at a unit direction."""
-    lines = ["float zz = d.z * d.z;"]
-    for m in range(1, order):  # Re and Im of (x + iy)^m
-        if m == 1:
-            lines += ["float c1 = d.x;", "float s1 = d.y;"]
-        else:
-            lines.append(f"float c{m} = d.x * c{m - 1} - d.y * s{m - 1};")
-            lines.append(f"float s{m} = d.x * s{m - 1} + d.y * c{m - 1};")
-    for band in range(order):
-        centre = band * band + band
-        for m in range(band + 1):
-            first, *others = polynomial(band, m)
-            value = f"{first:.9e}"
-            for other in others:
-                value = f"({value} * zz + {other:.9e})"
-            if (band - m) % 2:
-                value += " * d.z"
-            if m == 0:
-                lines.append(f"y[{centre}] = {value};")
-                continue
-            lines.append(f"float q{band}{m} = {value};")
-            lines.append(f"y[{centre + m}] = q{band}{m} * c{m};")
-            lines.append(f"y[{centre - m}] = q{band}{m} * s{m};")
-    body = "\n".join(f"    {line}" for line in lines)
-    return f"void harmonics(vec3 d, out float y[COEFFICIENTS]) {{\n{body}\n}}\n"

@@ -8,7 +8,7 @@ its weights are constants. The shader that includes it declares before
     uniform int lobes;                                  of light, of each colour
     uniform vec3 axis[3 * $LOBES];                      in world space, one colour after the other
     uniform float zonal[3 * $LOBES * ORDER];            of each, by bands
-    void harmonics(vec3 d, out float y[COEFFICIENTS])   runtime.material_shader.harmonics_glsl
+    void harmonics(vec3 d, out float y[COEFFICIENTS])   prtnet.glsl.harmonics_glsl
 
 as the shader of any material has them, with ``runtime.material_shader.most_lobes`` for ``$LOBES``,
 and calls ``one_dimensional``. Visibility is read from the textures ``front_lobes`` and
@@ -22,7 +22,7 @@ import math
 import numpy as np
 
 from prtnet.arrays import FloatArray
-from prtnet.gpu_tables import WIDTH
+from prtnet.glsl import WIDTH
 from prtnet.phong import Block, blocks
 from prtnet.reflection import LOWEST
 from prtnet.zh import Lobes

@@ -13,14 +13,14 @@ import onnxruntime
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 
-__all__ = ["OnnxLatents", "OnnxModel"]
+__all__ = ["OnnxModel", "OnnxPart"]
 
 
-class OnnxLatents:
-    """The graph of a model's latents alone, run by onnxruntime on the CPU: see ``prtnet export``.
+class OnnxPart:
+    """A graph beside the model's own, of ``pose`` alone, run by onnxruntime on the CPU.
 
     Args:
-        model: bytes of the graph.
+        model: bytes of the graph of latents or of occluders; see ``prtnet export``.
         threads: of onnxruntime; all cores when None.
     """
 
@@ -30,9 +30,9 @@ class OnnxLatents:
         )
 
     def __call__(self, poses: FloatArray) -> FloatArray:
-        """Latents (P, Σ latents) of flattened poses (P, D)."""
+        """Latents (P, Σ latents) or texels of occluders (P, N, 4) of flattened poses (P, D)."""
         feed = {"pose": np.ascontiguousarray(poses, dtype=np.float32)}
-        return self.session.run(["latents"], feed)[0]
+        return self.session.run(None, feed)[0]
 
 
 def session_options(threads: int | None) -> Any:

@@ -123,7 +123,8 @@ class Show:
         trace: the truth of one pose (1, D), (V, n²); runs in a thread of its own.
         environments: lights by name.
         latents: poses (P, D) to latents (P, Σ latents) as a shader wants them, and the model's
-            tables, where predictions are to be rebuilt on the GPU; not for models with a prior.
+            tables, where predictions are to be rebuilt on the GPU.
+        occluders: poses (P, D) to what a prior wants to know of them on the GPU (P, N, 4).
 
     Attributes:
         milliseconds: of the stages of the last frame, by name.
@@ -139,13 +140,14 @@ class Show:
         trace: Callable[[FloatArray], FloatArray],
         environments: Callable[[str], Environment],
         latents: tuple[Callable[[FloatArray], FloatArray], GPUTables] | None = None,
+        occluders: Callable[[FloatArray], FloatArray] | None = None,
     ) -> None:
         self.context, self.actor = context, actor
         self.predict, self.trace, self.environments = predict, trace, environments
         self.order = actor.model.order
         self.stage, self.screen = Stage(context, self.order), Screen(context)
         self.painted = Painted(context)
-        self.latents, self.rebuilt = None, None
+        self.latents, self.rebuilt, self.occluders = None, None, occluders
         if latents is not None:
             self.latents = latents[0]
             self.rebuilt = Stage(context, self.order, latents[1])
@@ -280,12 +282,14 @@ class Show:
         pose = self.pose(view)
         started = clock.perf_counter()
         latents = self.latents(pose)[0]
+        occluders = None if self.occluders is None else self.occluders(pose)[0]
         self._count(model=1e3 * (clock.perf_counter() - started))
         started = clock.perf_counter()
         subject = posed_subject(self.actor, pose)
         self._count(pose=1e3 * (clock.perf_counter() - started))
         front, back = sides(self.actor)
-        stage.show_latents(subject, latents, [front] if back is None else [front, back])
+        receivers = [front] if back is None else [front, back]
+        stage.show_latents(subject, latents, receivers, occluders)
         stage.draw(frame, matrix, eye)
         self._count(**stage.milliseconds)
 

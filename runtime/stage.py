@@ -16,7 +16,8 @@ import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
-from prtnet.gpu_tables import WIDTH, GPUTables
+from prtnet.glsl import WIDTH, texture
+from prtnet.gpu_tables import GPUTables
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
 from runtime.material_shader import FRAGMENT_SHADER, most_lobes, vertex_shader
@@ -24,19 +25,22 @@ from runtime.reflected import Side, Subject
 
 __all__ = ["Stage"]
 
-TEXTURE_WIDTH = 2048  # texels; every WebGL 2 device has at least this
+TEXTURE_WIDTH = WIDTH
 SIDES = ("front", "back")
-TEXTURES = (
-    "matrices", "view_factors", "front_visibility", "back_visibility", "prtnet_rows",
-    "prtnet_receivers", "prtnet_latents",
+MODEL = (
+    "prtnet_rows", "prtnet_receivers", "prtnet_latents", "prtnet_prior_numbers",
+    "prtnet_prior_weights", "prtnet_prior_indices", "prtnet_prior_rest", "prtnet_prior_pose",
 )  # fmt: skip
+"""What rebuilds visibility."""
+TEXTURES = ("matrices", "view_factors", "front_visibility", "back_visibility", *MODEL)
 UPLOADS = {  # dtype and internal format; signed normalised bytes moderngl would make unsigned
     "int8": ("ni1", 0x8F97),
     "float16": ("f2", None),
     "float32": ("f4", None),
+    "uint16": ("u2", None),
     "uint32": ("u4", None),
 }
-STAY = ("matrices", "view_factors", "prtnet_rows", "prtnet_receivers", "prtnet_latents")
+STAY = ("matrices", "view_factors", *MODEL)
 """Whatever the mesh is."""
 
 
@@ -70,6 +74,7 @@ class Stage:
         self._faces: IntArray | None = None
         self._material: ReflectionOperator | None = None
         self._latents: Any = None
+        self._occluders: Any = None
         try:
             self._timers: list[Any] = [context.query(time=True) for _ in range(2)]
         except Exception:  # some OpenGL has no timer queries: it draws all the same
@@ -117,17 +122,24 @@ class Stage:
 
     def _take(self, tables: GPUTables) -> None:
         """Put a model's tables on the GPU."""
-        latents = np.zeros((max(1, -(-len(tables.latent_scale) // WIDTH)), WIDTH, 1), dtype="f4")
-        arrays = {"rows": tables.rows, "receivers": tables.receivers, "latents": latents}
+        latents = texture(np.zeros((len(tables.latent_scale), 1), dtype="f4"))
+        arrays = tables.textures | {"prtnet_latents": latents}
+        if tables.prior is not None:
+            texels = np.zeros((tables.prior.seen.posed_texels, 4), dtype="f4")
+            self._occluders = arrays["prtnet_prior_pose"] = texture(texels)
         limit = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
         for name, array in arrays.items():
             if len(array) > limit:
                 raise PrtnetError("model", "is too large for a texture here; train a smaller one")
-            self._held[f"prtnet_{name}"] = self._texture(array)
+            self._held[name] = self._texture(array)
         self._latents = latents
 
     def show_latents(
-        self, subject: Subject, latents: FloatArray, receivers: Sequence[IntArray]
+        self,
+        subject: Subject,
+        latents: FloatArray,
+        receivers: Sequence[IntArray],
+        occluders: FloatArray | None = None,
     ) -> None:
         """Take a pose of the model whose tables this has; visibility is rebuilt on the GPU.
 
@@ -135,6 +147,8 @@ class Stage:
             subject: vertices and frames; visibility is not looked at.
             latents: from the graph of latents alone, (Σ latents,).
             receivers: of every vertex's front, and of its back if there is one, (V,) each.
+            occluders: of a model with a prior: what changes with the pose, (N, 4); see
+                ``prtnet.gpu_prior.PriorTables``.
         """
         assert self._latents is not None
         self.show(subject)
@@ -143,6 +157,10 @@ class Stage:
             self._held[f"{name}_receivers"].write(np.ascontiguousarray(own, dtype="i4"))
         self._latents.ravel()[: len(latents)] = latents
         self._held["prtnet_latents"].write(self._latents)
+        if self._occluders is not None:
+            assert occluders is not None
+            self._occluders.reshape(-1, 4)[: len(occluders)] = occluders
+            self._held["prtnet_prior_pose"].write(self._occluders)
         self.milliseconds["upload"] += 1e3 * (time.perf_counter() - started)
 
     def _allocate(self, subject: Subject, shape: tuple[int, int, bool], rows: int) -> None:

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from prtnet.files import writing
-from prtnet.gpu_tables import COUNT_BITS, FORMATS, WIDTH, gpu_tables, write_gpu_tables
+from prtnet.glsl import WIDTH, texel_format
+from prtnet.gpu_tables import COUNT_BITS, GPUTables, gpu_tables, write_gpu_tables
 from prtnet.model import VisibilityModel
 from prtnet.output_space import OutputSpace
 from training.onnx_export import export_latent_onnx, export_onnx
+from training.onnx_occluders import export_occluder_onnx
 
 __all__ = ["export_folder"]
 
@@ -46,8 +48,7 @@ multiply light and visibility, and integrate with the clamped cosine and the BRD
 {gpu}"""
 
 GPU = """\
-`latent.onnx` turns the pose into `latents` (poses, {latents}); a shader rebuilds the visibility of
-each vertex from them and from textures made once of `gpu.bin`. Per frame only the latents travel.
+{latent} Textures are made once of `gpu.bin`.
 
 `gpu.bin` is little-endian; `gpu.json` gives each texture's format, dtype, shape (height, width,
 channels) and byte offset. Textures are {width} texels wide and are read with `texelFetch`, texel i
@@ -69,14 +70,17 @@ With t the texel of coefficient i (8-bit integers are signed normalised: t = q /
                     + profile[i] (sum over k of latent[k] t_k[i])
 
 `latent.onnx` has the components' scales inside. `prtnet.glsl` does this in GLSL 3.30 or
-GLSL ES 3.00: put it behind your `#version` line and precision statements, bind the three textures,
-and call `prtnet_visibility(receiver, v)`.
+GLSL ES 3.00: put it behind your `#version` line and precision statements, bind all textures that
+`gpu.json` names, and call `prtnet_visibility(receiver, v)`.
 """
 
+LATENT = """\
+`latent.onnx` turns the pose into `latents` (poses, {latents}); a shader rebuilds the visibility of
+each vertex from them and from textures. Per frame only the latents travel."""
+
 CONSTANT = """\
-The model knows no pose but the mean: there are no latents, and no `latent.onnx`. `gpu.bin` and
-`prtnet.glsl` hold the means.
-"""
+The clusters know no pose but the mean: there are no latents, and no `latent.onnx`; the texture of
+latents is never read. A shader takes the means from textures."""
 
 POSES = {
     "skinned": "The joints' model-space matrices, 3 rows of 4 each, row after row, in the order "
@@ -85,9 +89,38 @@ POSES = {
 }
 
 
-WITH_PRIOR = """\
-**On the GPU.** This model looks at what surrounds every receiver (a prior by {prior}), which
-latents alone do not tell: `model.onnx` has it all, and there are no tables for a shader."""
+PRIOR = """
+**Surroundings.** To that the shader adds what every receiver sees around it (a prior by {prior}),
+and keeps the sum within the bounds of training. `occluders.onnx` turns the pose into `occluders`
+(poses, {occluders}, 4): the texels of `prtnet_prior_pose`, in rows of {width}, to be uploaded for
+every pose as well.
+
+| texture | texel |
+|---|---|
+| `prtnet_prior_pose` (RGBA32F) | {posed} |
+{textures}
+
+An engine that has these matrices and centres at hand may fill the texture itself, without
+`occluders.onnx`. `prtnet_carried` in `prtnet.glsl` says where the pose carries a receiver; one that
+knows so already may call `prtnet_prior(receiver, position, frame, v)` by itself.
+"""
+
+POSED = {
+    "skin": "three rows of each joint's matrix from rest; centre and squared radius of each sphere,"
+    " an empty one last; centroid and vector area, a texel each, of each patch of skin, an empty "
+    "one last. About joint 0, in units of the character's size",
+    "patches": "every vertex; normal and tangent, a texel each, of every front receiver; centroid "
+    "and vector area, a texel each, of every patch, an empty one last. About vertex 0, in units of "
+    "the sheet's size",
+}
+
+HOLDS = {
+    "prtnet_prior_weights": "learned numbers",
+    "prtnet_prior_numbers": "the range of training, and what the learned numbers are multiplied by",
+    "prtnet_prior_indices": "which occluders a receiver looks at",
+    "prtnet_prior_rest": "receivers at rest: position, normal, tangent, and the joints that carry "
+    "them",
+}
 
 
 def export_folder(model: VisibilityModel, out: Path) -> dict[str, int]:
@@ -109,30 +142,44 @@ def export_folder(model: VisibilityModel, out: Path) -> dict[str, int]:
         "storage": model.storage,
         "latents": int(model.latents.sum()),
     }
-    tables = None if model.prior is not None else gpu_tables(model)
+    tables = gpu_tables(model)
     facts["prior"] = None if model.prior is None else model.prior.kind
     with writing(out) as partial:
         partial.mkdir()
         export_onnx(model, partial / "model.onnx")
-        if tables is not None:
-            if facts["latents"]:
-                export_latent_onnx(model, tables.latent_scale, partial / "latent.onnx")
-            write_gpu_tables(tables, partial)
-        (partial / "README.md").write_text(readme(facts), encoding="utf-8")
+        if facts["latents"]:
+            export_latent_onnx(model, tables.latent_scale, partial / "latent.onnx")
+        if model.prior is not None:
+            export_occluder_onnx(model, partial / "occluders.onnx")
+        write_gpu_tables(tables, partial)
+        gpu = readme_gpu(facts, tables)
+        (partial / "README.md").write_text(readme(facts, gpu), encoding="utf-8")
         facts["rest_tangents"] = model.rest_tangents.tolist()
         (partial / "model.json").write_text(json.dumps(facts) + "\n", encoding="utf-8")
     return {file.name: file.stat().st_size for file in sorted(out.iterdir())}
 
 
-def readme(facts: dict[str, Any]) -> str:
+def readme(facts: dict[str, Any], gpu: str) -> str:
     """What the engine programmer reads."""
-    coefficients = facts["order"] ** 2
-    gpu = GPU if facts["latents"] else CONSTANT
-    if facts["prior"] is not None:
-        gpu = WITH_PRIOR
-    gpu = gpu.format(
-        **facts, width=WIDTH, texels=-(-coefficients // 4), bits=COUNT_BITS,
-        rows=FORMATS[facts["storage"]],
-    )  # fmt: skip
     pose = POSES[facts["scene_kind"]]
-    return README.format(**facts, coefficients=coefficients, pose=pose, gpu=gpu)
+    return README.format(**facts, coefficients=facts["order"] ** 2, pose=pose, gpu=gpu)
+
+
+def readme_gpu(facts: dict[str, Any], tables: GPUTables) -> str:
+    """Its part on rebuilding visibility in a shader."""
+    latent = (LATENT if facts["latents"] else CONSTANT).format(**facts)
+    text = GPU.format(
+        **facts, latent=latent, width=WIDTH, texels=-(-(facts["order"] ** 2) // 4), bits=COUNT_BITS,
+        rows=texel_format(tables.rows),
+    )  # fmt: skip
+    if tables.prior is None:
+        return text
+    seen = tables.prior.seen
+    rows = [
+        f"| `{name}` ({texel_format(array)}) | {HOLDS[name]} |"
+        for name, array in tables.prior.textures.items()
+    ]
+    return text + PRIOR.format(
+        **facts, occluders=seen.posed_texels, width=WIDTH, posed=POSED[seen.kind],
+        textures="\n".join(rows),
+    )  # fmt: skip

@@ -32,7 +32,7 @@ from training.onnx_graph import GraphBuilder
 from training.onnx_prior import prior_nodes
 from training.reconstruction import LatentLayer, latent_layer, visibility_nodes
 
-__all__ = ["build_latent_onnx", "build_onnx", "export_latent_onnx", "export_onnx"]
+__all__ = ["build_latent_onnx", "build_onnx", "export_latent_onnx", "export_onnx", "write_graph"]
 
 
 def joint_matrices(graph: GraphBuilder, joints: int) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
@@ -14,7 +15,7 @@ from prtnet.surroundings import SOFTEST
 from training.onnx_expression import Value, cross, dot, unit
 from training.onnx_graph import GraphBuilder
 
-__all__ = ["padded_rows", "patch_nodes"]
+__all__ = ["Sheet", "padded_rows", "patch_nodes", "patch_table_nodes", "sheet_nodes"]
 
 SQUARES = np.triu_indices(3)  # x², xy, xz, y², yz, z²
 CUBES = ((0, 0, 0, 0, 0, 0, 1, 1, 1, 2), (0, 1, 2, 3, 4, 5, 3, 4, 5, 5))  # one of x, y, z; a square
@@ -166,8 +167,25 @@ def cap_nodes(graph: GraphBuilder, surroundings: PatchSurroundings, local: str, 
     return front, total
 
 
-def patch_nodes(graph: GraphBuilder, surroundings: PatchSurroundings, pose_size: int) -> str:
-    """Features (P, V, F) of ``pose``."""
+@dataclass(frozen=True)
+class Sheet:
+    """Values of a pose that all of a sheet's receivers share.
+
+    Attributes:
+        points: vertices (P, vertices, 3), as they are given.
+        crosses: of the faces' edges, in units of the sheet's size, (P, T, 3).
+        here: places of the front receivers, as they are given, (P, R, 3, 1).
+        axes: their frames, *rows* tangent, bitangent, normal, (P, R, 3, 3).
+    """
+
+    points: str
+    crosses: str
+    here: str
+    axes: str
+
+
+def sheet_nodes(graph: GraphBuilder, surroundings: PatchSurroundings, pose_size: int) -> Sheet:
+    """The sheet of ``pose``."""
     receivers, size = len(surroundings.vertex), surroundings.size
     points = graph.reshape("pose", [-1, pose_size // 3, 3])
     corner = [graph.constant(surroundings.faces[:, k]) for k in range(3)]
@@ -182,13 +200,21 @@ def patch_nodes(graph: GraphBuilder, surroundings: PatchSurroundings, pose_size:
     carried = offset_nodes(graph, points, surroundings.carry_vertex, here)
     weight = surroundings.carry_weight[:, None] / size
     carried = graph.total(graph.node("Mul", carried, graph.constant(weight)), 3)
-    axes = axes_nodes(graph, surroundings, carried, crosses)
+    return Sheet(points, crosses, here, axes_nodes(graph, surroundings, carried, crosses))
+
+
+def patch_nodes(graph: GraphBuilder, surroundings: PatchSurroundings, pose_size: int) -> str:
+    """Features (P, V, F) of ``pose``."""
+    receivers, size = len(surroundings.vertex), surroundings.size
+    sheet = sheet_nodes(graph, surroundings, pose_size)
+    points, here, axes = sheet.points, sheet.here, sheet.axes
+    scale = graph.constant(1.0 / size)
     control = offset_nodes(graph, points, surroundings.control, here)
     control = graph.node("MatMul", axes, control)  # [P, R, 3, M]
     control = graph.node("Mul", control, graph.constant(1.0 / (size * surroundings.radius)))
     control = graph.reshape(control, [-1, receivers, 3 * len(surroundings.radius)])
 
-    table = patch_table_nodes(graph, surroundings, points, crosses)
+    table = patch_table_nodes(graph, surroundings, points, sheet.crosses)
     near = surroundings.near
     index = graph.index(np.where(near >= 0, near, int(surroundings.patch.max()) + 1))
     seen = graph.node("Gather", table, index, axis=1)  # [P, R, K, 6]

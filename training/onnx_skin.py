@@ -17,7 +17,7 @@ from training.onnx_caps import cap_sum_nodes
 from training.onnx_expression import Value, cross, dot, unit
 from training.onnx_graph import GraphBuilder
 
-__all__ = ["cluster_slots", "skin_nodes"]
+__all__ = ["Carried", "carry_nodes", "cluster_slots", "skin_nodes"]
 
 STEEP = 1e30  # what makes a sign of a number
 

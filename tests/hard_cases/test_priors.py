@@ -9,7 +9,10 @@ import pytest
 
 from prtnet.metrics import relative_rms
 from runtime.onnx_model import OnnxModel
-from tests.models import random_poses
+from tests.models import random_model, random_poses
+from tests.priors import beside_prior, random_prior, sheet_with_prior
+from tests.runtime.shader import shaded
+from tests.skin import random_skin
 from tests.training.data import memory_dataset
 from tests.training.test_train import PRIOR, SMALL
 from training.onnx_export import build_onnx
@@ -80,3 +83,93 @@ def test_fewer_poses_than_anything(kind):
     assert np.isfinite(value).all()
     assert np.abs(value).max() <= np.abs(truth).max() + 1e-6
     assert usual(data) < 0.5
+
+
+def at_rest(skin):
+    """Joints that leave everything where it is: what is equal at rest is equal in float32, too."""
+    still = np.tile(np.eye(4)[:3], (skin.joints, 1, 1)).astype(np.float32)
+    skin = dataclasses.replace(skin, size=1.0, rest_inverse=still)
+    return skin, still.reshape(1, -1)
+
+
+def shader_error(skin, poses, kind="maps"):
+    """Of the vertex shader, relative to the largest coefficient."""
+    prior = random_prior(kind, receivers=40, surroundings=skin)
+    model = beside_prior(random_model(receivers=40), prior)
+    expected = model(poses)
+    assert np.isfinite(expected).all()
+    given = np.stack([shaded(model, pose) for pose in poses])
+    return np.abs(given - expected).max() / np.abs(expected).max()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("times", [1.0, 0.5, 1.0001, 0.0])
+def test_a_shader_knows_receivers_in_and_on_spheres(times):
+    """Each receiver is so many radii away from the centre of a sphere."""
+    skin, pose = at_rest(random_skin())
+    spheres = skin.near_spheres[skin.cluster, 0]
+    toward = np.array([0.0, 0.6, 0.8], dtype=np.float32)
+    away = np.float32(times) * skin.sphere_radius[spheres, None] * toward
+    skin = dataclasses.replace(skin, position=skin.sphere_centre[spheres] + away)
+    # One joint each: weights that blend equal matrices would round where the receiver is.
+    one = np.eye(3, dtype=np.float32)[np.zeros(40, dtype=int)]
+    skin = dataclasses.replace(skin, skin_weight=one)
+    assert shader_error(skin, pose) <= 3e-6
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(
+    "nothing",
+    [
+        {"near_spheres": np.zeros((6, 0), dtype=np.int32)},
+        {"near_patches": np.zeros((6, 0), dtype=np.int32)},
+        {"sphere_joint": np.full(11, 2, dtype=np.int32), "own_joint": np.full(6, 2, np.int32)},
+        {"sphere_joint": np.full(11, 2, dtype=np.int32), "own_joint": np.full(6, 1, np.int32)},
+        {"sphere_radius": np.zeros(11, dtype=np.float32)},
+        {"patch_area": np.zeros((13, 3), dtype=np.float32)},
+    ],
+    ids=["no sphere", "no patch", "own spheres only", "foreign only", "points", "flat patches"],
+)
+@pytest.mark.parametrize("kind", ["maps", "network"])
+def test_a_shader_with_nothing_to_see(nothing, kind):
+    skin = dataclasses.replace(random_skin(), **nothing)
+    assert shader_error(skin, random_poses(2, 5), kind) <= 3e-6
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("kind", ["maps", "network"])
+def test_a_shader_stays_within_the_range_of_training(kind):
+    """Limbs in each other and gone far away: features outside on both sides."""
+    skin = random_skin()
+    poses = random_poses(4, 5, seed=8).reshape(4, 5, 3, 4)
+    poses[:2, :, :, 3] *= 0.01
+    poses[2:, 1:, :, 3] *= 300.0
+    poses = poses.reshape(4, -1)
+    prior = random_prior(kind, receivers=40, surroundings=skin)
+    seen = skin(poses)
+    assert (seen > prior.high + 1.0).any()
+    assert (seen < prior.low - 0.01).any()
+    assert (
+        shader_error(skin, poses, kind) <= 1e-4
+    )  # at 300 m float32 knows places to 10 micrometres
+
+
+@pytest.mark.gl
+def test_a_shader_with_joints_of_no_size():
+    """Limbs scaled to nothing have neither normals nor spheres."""
+    poses = random_poses(2, 5).reshape(2, 5, 3, 4)
+    poses[:, 1:3, :, :3] = 0.0
+    assert shader_error(random_skin(), poses.reshape(2, -1)) <= 3e-6
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("kind", ["maps", "network"])
+def test_a_shader_of_a_sheet_that_is_crumpled_flat_or_far_away(kind):
+    model, poses = sheet_with_prior(kind)
+    rng = np.random.default_rng(5)
+    flat = poses[-1].reshape(-1, 3) * [1.0, 0.0, 1.0]
+    hard = np.stack([flat.ravel(), rng.normal(size=poses.shape[1]), np.zeros(poses.shape[1]),
+                     np.round((poses[-1] + 512.0) * 4096) / 4096]).astype(np.float32)  # fmt: skip
+    expected = model(hard)
+    for pose, own in zip(hard, expected, strict=True):
+        assert np.abs(shaded(model, pose) - own).max() <= 3e-6 * np.abs(expected).max()

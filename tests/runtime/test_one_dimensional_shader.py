@@ -10,10 +10,11 @@ import moderngl
 import numpy as np
 import pytest
 
+from prtnet.glsl import harmonics_glsl
 from prtnet.phong import phong_transfer, phong_zonal
 from prtnet.zh import Lobes, exact_lobes
 from runtime.gl import create_context
-from runtime.material_shader import harmonics_glsl, most_lobes
+from runtime.material_shader import most_lobes
 from runtime.one_dimensional import (
     LobeSide,
     OneDimensional,

@@ -20,7 +20,10 @@ from runtime.picture import srgb_encode
 from runtime.reflected import Side, Subject
 from runtime.stage import Stage
 from tests.models import random_model, random_poses
+from tests.priors import beside_prior, random_prior, sheet_with_prior
 from tests.runtime.scenes import knot_subject, sky, three_quarters
+from tests.runtime.shader import latents_of
+from tests.skin import random_skin
 
 pytestmark = pytest.mark.gl
 
@@ -128,15 +131,33 @@ def test_it_draws_without_timers(monkeypatch):
 def test_visibility_is_rebuilt_from_latents(two_sided, storage):
     """As from the model's own visibility, whatever it is stored in."""
     model = random_model(receivers=700, clusters=7, parts=2).stored_as(storage)
+    pictures = pictures_of(model, random_poses(1, 5), two_sided)
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1e-4 * np.abs(pictures[0]).max()
+
+
+@pytest.mark.parametrize("kind", ["maps", "network"])
+@pytest.mark.parametrize("body", ["skin", "sheet"])
+@pytest.mark.parametrize("two_sided", [False, True])
+def test_a_prior_is_added_in_the_shader(kind, body, two_sided):
+    if body == "skin":
+        prior = random_prior(kind, receivers=700, surroundings=random_skin(receivers=700))
+        model, pose = beside_prior(random_model(receivers=700), prior), random_poses(1, 5)
+    else:
+        model, poses = sheet_with_prior(kind)
+        pose = poses[-1:]
+    pictures = pictures_of(model, pose, two_sided)
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1e-4 * np.abs(pictures[0]).max()
+
+
+def pictures_of(model, pose, two_sided):
+    """Pictures with the model's own visibility, and with that rebuilt in the shader."""
     tables = gpu_tables(model)
-    pose = random_poses(1, 5)
     visibility = model(pose)[0]
-    latent = model.latent(pose)[0]
-    used = np.arange(latent.shape[1]) < model.latents[:, None]
-    latents = latent[used] * tables.latent_scale
+    latents = latents_of(model, tables, pose[0])
+    occluders = None if tables.prior is None else tables.prior.seen.posed(pose[0])
     knot = knot_subject(model.order, two_sided)
     rng = np.random.default_rng(3)
-    receivers = [rng.integers(0, 700, len(knot.positions)) for _ in knot.sides]
+    receivers = [rng.integers(0, len(visibility), len(knot.positions)) for _ in knot.sides]
     sides = [
         Side(visibility[own], side.frames) for own, side in zip(receivers, knot.sides, strict=True)
     ]
@@ -154,7 +175,7 @@ def test_visibility_is_rebuilt_from_latents(two_sided, storage):
                 stage.show(subject)
             else:
                 for _ in range(2):  # a second pose goes into what is there
-                    stage.show_latents(knot, latents, receivers)
+                    stage.show_latents(knot, latents, receivers, occluders)
             frame = context.framebuffer(
                 [context.texture(SIZE, 4, dtype="f4")], context.depth_renderbuffer(SIZE)
             )
@@ -164,4 +185,4 @@ def test_visibility_is_rebuilt_from_latents(two_sided, storage):
             stage.release()
     context.release()
     assert np.abs(pictures[0]).max() > 0.1
-    assert np.abs(pictures[0] - pictures[1]).max() <= 1e-4 * np.abs(pictures[0]).max()
+    return pictures

@@ -283,7 +283,8 @@ def test_the_command_opens_what_it_is_given(window, tmp_path, monkeypatch, kind)
     options = ViewOptions(*files, out=tmp_path, rays=16, threads=1, brdf="phong")
     found = opened_viewer(options, 1, lambda _: None)
     found.step(0.01)
-    assert (found.show.latents is None) == (kind in ("constant", "hybrid"))
+    assert (found.show.latents is None) == (kind == "constant")
+    assert (found.show.occluders is None) == (kind != "hybrid")
     found.view.playing = False
     found.view.left, found.view.right, found.view.split = "prediction", "truth", 0.5
     picture = read(found, tmp_path / "seen.png")

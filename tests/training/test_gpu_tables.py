@@ -3,7 +3,6 @@ from __future__ import annotations
 import itertools
 import json
 
-import moderngl
 import numpy as np
 import onnxruntime
 import pytest
@@ -12,6 +11,9 @@ from prtnet.errors import PrtnetError
 from prtnet.gpu_tables import COUNT_BITS, gpu_tables
 from prtnet.storage import STORAGES
 from tests.models import random_model, random_poses
+from tests.priors import beside_prior, random_prior, sheet_with_prior
+from tests.runtime.shader import transformed
+from tests.skin import random_skin
 from training.export import export_folder
 
 METADATA = {"scene_name": "ball", "scene_kind": "skinned"}
@@ -41,11 +43,9 @@ def textures(folder):
     return found, layout
 
 
-def latents_of(folder, poses):
-    session = onnxruntime.InferenceSession(
-        folder / "latent.onnx", providers=["CPUExecutionProvider"]
-    )
-    return session.run(["latents"], {"pose": poses})[0]
+def onnx_output(path, poses):
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    return session.run(None, {"pose": poses})[0]
 
 
 def emulate(folder, latents, order):
@@ -71,7 +71,7 @@ def test_files_alone_give_the_models_visibility(exported):
     model, folder = exported
     poses = random_poses(2, 5)
     expected = model(poses)
-    latents = latents_of(folder, poses)
+    latents = onnx_output(folder / "latent.onnx", poses)
     assert latents.shape == (2, model.latents.sum())
     for pose in range(2):
         got = emulate(folder, latents[pose], model.order)
@@ -105,52 +105,48 @@ def test_more_latents_than_an_entry_counts_are_refused():
         gpu_tables(model)
 
 
-SHADER = """#version 330
-%s
-out vec4 v0;
-out vec4 v1;
-out vec4 v2;
-void main() {
-    vec4 v[PRTNET_TEXELS];
-    prtnet_visibility(gl_VertexID, v);
-    v0 = v[0];
-    v1 = v[1];
-    v2 = v[2];
-}
-"""
-SIGNED_NORMALISED = {"RGBA8_SNORM": 0x8F97}  # moderngl would make it unsigned
-UPLOADS = {"RGBA8_SNORM": "ni1", "RGBA16F": "f2", "RGBA32F": "f4", "RG32UI": "u4", "R32F": "f4"}
-
-
 @pytest.mark.gl
 def test_the_shader_gives_the_models_visibility(exported):
     model, folder = exported
     pose = random_poses(1, 5)
+    assert shader_error(model, folder, pose) <= RELATIVE
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("kind", ["maps", "network"])
+@pytest.mark.parametrize("body", ["skin", "sheet", "skin without latents"])
+@pytest.mark.parametrize("storage", ["float32", "int8"])
+def test_files_alone_tell_the_shader_of_the_surroundings(kind, body, storage, tmp_path):
+    if body == "sheet":
+        model, poses = sheet_with_prior(kind)
+    else:
+        seen = random_skin(receivers=300)
+        prior = random_prior(kind, receivers=300, surroundings=seen)
+        fitted = "constant" if body == "skin without latents" else "neural"
+        model, poses = beside_prior(random_model(fitted, receivers=300), prior, True), None
+    model = model.stored_as(storage)
+    model.metadata.update(METADATA)
+    folder = tmp_path / "export"
+    files = export_folder(model, folder)
+    assert ("latent.onnx" in files) == (body != "skin without latents")
+    pose = random_poses(1, 5, seed=3) if poses is None else poses[-1:]
+    assert shader_error(model, folder, pose) <= RELATIVE
+    words = (folder / "README.md").read_text()
+    names = json.loads((folder / "gpu.json").read_text())["textures"]
+    assert [name for name in names if f"`{name}`" not in words] == []
+    assert "{" not in words
+
+
+def shader_error(model, folder, pose):
+    """Of what the exported shader gives for a pose (1, D), relative to the largest coefficient."""
     expected = model(pose)[0]
     found, layout = textures(folder)
-    padded = np.zeros(layout["textures"]["prtnet_latents"]["shape"], dtype=np.float32)
-    padded.ravel()[: layout["latents"]] = latents_of(folder, pose)[0]
-    context = moderngl.create_context(standalone=True, backend="egl", require=330)
-    with context:
-        context.simple_framebuffer((1, 1)).use()  # OpenGL wants one even where nothing is drawn
-        program = context.program(
-            vertex_shader=SHADER % (folder / "prtnet.glsl").read_text(),
-            varyings=["v0", "v1", "v2"],
-        )
-        for unit, (name, data) in enumerate((found | {"prtnet_latents": padded}).items()):
-            texel = layout["textures"][name]["format"]
-            texture = context.texture(
-                data.shape[1::-1], data.shape[2], data.tobytes(), dtype=UPLOADS[texel],
-                internal_format=SIGNED_NORMALISED.get(texel),
-            )  # fmt: skip
-            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-            texture.use(unit)
-            program[name] = unit
-        buffer = context.buffer(reserve=model.receiver_count * 12 * 4)
-        context.vertex_array(program, []).transform(
-            buffer, moderngl.POINTS, vertices=model.receiver_count
-        )
-        got = np.frombuffer(buffer.read(), np.float32).reshape(-1, 12)
-    context.release()
-    assert np.abs(got[:, :9] - expected).max() <= RELATIVE * np.abs(expected).max()
-    assert (got[:, 9:] == 0).all()
+    for name, file in (("prtnet_latents", "latent.onnx"), ("prtnet_prior_pose", "occluders.onnx")):
+        if name in layout["textures"]:
+            found[name] = np.zeros(layout["textures"][name]["shape"], dtype=np.float32)
+            if (folder / file).exists():
+                values = onnx_output(folder / file, pose).ravel()
+                found[name].ravel()[: values.size] = values
+    text = (folder / "prtnet.glsl").read_text()
+    got = transformed(text, found, model.receiver_count, -(-(model.order**2) // 4))
+    return np.abs(got[:, : model.order**2] - expected).max() / np.abs(expected).max()
