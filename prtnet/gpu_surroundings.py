@@ -27,7 +27,7 @@ void prtnet_cap(highp vec3 toward, highp float sine2, out highp vec4 cap[PRTNET_
     highp float y[$COUNT];
     prtnet_harmonics(toward, y);
     highp float softness = max(sqrt(sine2), $SOFTEST);
-    highp float cosine = sqrt(1.0 - sine2);
+    highp float cosine = sqrt(max(1.0 - sine2, 0.0));
     highp float covered = $TURN * sine2 * clamp(0.5 + 0.5 * toward.z / softness, 0.0, 1.0);
     highp float i0 = covered / (1.0 + cosine);  // integrals of P_l, without small differences
     highp float i1 = 0.5 * covered;

@@ -234,6 +234,7 @@ def write_gpu_tables(tables: GPUTables, folder: Path) -> None:
     if tables.bounds is not None:
         layout["bounds"] = tables.bounds.tolist()
     if tables.prior is not None:
-        layout["pose"] = tables.prior.seen.layout
+        seen = tables.prior.seen
+        layout["occluders"] = {"kind": seen.kind, "texels": seen.posed_texels, **seen.layout}
     (folder / "gpu.json").write_text(json.dumps(layout, indent=1) + "\n", encoding="utf-8")
     (folder / "prtnet.glsl").write_text(glsl(tables), encoding="utf-8")
