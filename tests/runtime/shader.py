@@ -33,9 +33,19 @@ UPLOADS = {
 
 
 def transformed(
-    text: str, textures: dict[str, Any], receivers: int, texels: int, head: str = DESKTOP
-) -> np.ndarray:
-    """What ``prtnet_visibility`` of an include gives every receiver, (V, 4 · texels)."""
+    text: str, textures: dict[str, Any], posed: list[dict[str, Any]], receivers: int, texels: int,
+    head: str = DESKTOP,
+) -> np.ndarray:  # fmt: skip
+    """What ``prtnet_visibility`` of an include gives every receiver, (P, V, 4 · texels).
+
+    Args:
+        text: the include.
+        textures: by name, those that stay.
+        posed: those of each pose.
+        receivers: V.
+        texels: of the coefficients.
+        head: version and precision.
+    """
     names = [f"v{k}" for k in range(texels)]
     outs = "\n".join(f"out vec4 {name};" for name in names)
     writes = "\n".join(f"    {name} = v[{k}];" for k, name in enumerate(names))
@@ -44,33 +54,38 @@ def transformed(
         # OpenGL wants a framebuffer even where nothing is drawn.
         context.simple_framebuffer((1, 1)).use()
         program = context.program(vertex_shader=SHADER % (head, text, outs, writes), varyings=names)
-        for unit, (name, array) in enumerate(textures.items()):
-            dtype, internal = UPLOADS[array.dtype.name]
-            image = context.texture(
-                array.shape[1::-1], array.shape[2], array.tobytes(), dtype=dtype,
-                internal_format=internal,
-            )  # fmt: skip
-            image.filter = (moderngl.NEAREST, moderngl.NEAREST)
-            image.use(unit)
-            program[name] = unit
-        buffer = context.buffer(reserve=receivers * 16 * texels)
-        context.vertex_array(program, []).transform(buffer, moderngl.POINTS, vertices=receivers)
-        got = np.frombuffer(buffer.read(), np.float32).reshape(receivers, -1)
+        points = context.vertex_array(program, [])
+        got = []
+        for pose in posed:
+            for unit, (name, array) in enumerate({**textures, **pose}.items()):
+                dtype, internal = UPLOADS[array.dtype.name]
+                image = context.texture(
+                    array.shape[1::-1], array.shape[2], array.tobytes(), dtype=dtype,
+                    internal_format=internal,
+                )  # fmt: skip
+                image.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                image.use(unit)
+                program[name] = unit
+            buffer = context.buffer(reserve=receivers * 16 * texels)
+            points.transform(buffer, moderngl.POINTS, vertices=receivers)
+            got.append(np.frombuffer(buffer.read(), np.float32).reshape(receivers, -1))
     context.release()
-    return got
+    return np.stack(got)
 
 
-def shaded(model: VisibilityModel, pose: np.ndarray, head: str = DESKTOP) -> np.ndarray:
-    """A model's visibility (V, n²) of a pose (D,) by its shader, latents by NumPy."""
+def shaded(model: VisibilityModel, poses: np.ndarray, head: str = DESKTOP) -> np.ndarray:
+    """A model's visibility (P, V, n²) of poses (P, D) by its shader, latents by NumPy."""
     tables = gpu_tables(model)
-    latents = texture(latents_of(model, tables, pose)[:, None])
-    given = tables.textures | {"prtnet_latents": latents}
-    if tables.prior is not None:
-        given["prtnet_prior_pose"] = texture(tables.prior.seen.posed(pose))
-    count = model.order**2
-    got = transformed(glsl(tables), given, model.receiver_count, -(-count // 4), head)
-    assert (got[:, count:] == 0).all()
-    return got[:, :count]
+    posed = []
+    for pose in poses:
+        given = {"prtnet_latents": texture(latents_of(model, tables, pose)[:, None])}
+        if tables.prior is not None:
+            given["prtnet_prior_pose"] = texture(tables.prior.seen.posed(pose))
+        posed.append(given)
+    count, receivers = model.order**2, model.receiver_count
+    got = transformed(glsl(tables), tables.textures, posed, receivers, -(-count // 4), head)
+    assert (got[..., count:] == 0).all()
+    return got[..., :count]
 
 
 def latents_of(model: VisibilityModel, tables: GPUTables, pose: np.ndarray) -> np.ndarray:

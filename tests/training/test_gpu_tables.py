@@ -141,12 +141,13 @@ def shader_error(model, folder, pose):
     """Of what the exported shader gives for a pose (1, D), relative to the largest coefficient."""
     expected = model(pose)[0]
     found, layout = textures(folder)
+    posed = {}
     for name, file in (("prtnet_latents", "latent.onnx"), ("prtnet_prior_pose", "occluders.onnx")):
         if name in layout["textures"]:
-            found[name] = np.zeros(layout["textures"][name]["shape"], dtype=np.float32)
+            posed[name] = np.zeros(layout["textures"][name]["shape"], dtype=np.float32)
             if (folder / file).exists():
                 values = onnx_output(folder / file, pose).ravel()
-                found[name].ravel()[: values.size] = values
+                posed[name].ravel()[: values.size] = values
     text = (folder / "prtnet.glsl").read_text()
-    got = transformed(text, found, model.receiver_count, -(-(model.order**2) // 4))
+    got = transformed(text, found, [posed], model.receiver_count, -(-(model.order**2) // 4))[0]
     return np.abs(got[:, : model.order**2] - expected).max() / np.abs(expected).max()
