@@ -109,6 +109,18 @@ def test_eight_bits_of_a_large_network():
     check(model, poses)
 
 
+@pytest.mark.parametrize("storage", ["float32", "int8"])
+def test_a_network_of_one_layer_without_codes(storage):
+    rng = np.random.default_rng(0)
+    model, poses = skinned("network")
+    prior = model.prior
+    plain = NetworkPrior(
+        prior.surroundings, prior.low, prior.high, np.zeros((40, 0), dtype=np.float32),
+        (rng.normal(size=(len(prior.low), 9)).astype(np.float32),), (np.ones(9, np.float32),),
+    )  # fmt: skip
+    check(dataclasses.replace(model, prior=plain).stored_as(storage), poses)
+
+
 def test_many_receivers_take_many_rows():
     model, poses = skinned("network", receivers=2 * WIDTH)
     assert gpu_tables(model).textures["prtnet_prior_rest"].shape[0] > 2
