@@ -29,6 +29,7 @@ from prtnet.storage import HALF_LIMIT, MOST, Stored
 __all__ = ["PriorTables", "prior_tables"]
 
 SMALLEST_HALF = 2.0**-24  # models that keep geometry in half precision are nearer to halves
+MOST_SHORT = 2**16 - 1
 SATURATED = 10.0  # tanh is ±1 in float32 from here on; some drivers overflow far outside
 
 HEAD = """\
@@ -170,7 +171,7 @@ def prior_tables(prior: Prior, stored: Callable[[str], Stored]) -> PriorTables:
     textures = {
         "prtnet_prior_weights": weights,
         "prtnet_prior_numbers": np.concatenate([*numbers, own]).astype(np.float32),
-        "prtnet_prior_indices": every.astype(np.uint16 if every.max() < 2**16 else np.uint32),
+        "prtnet_prior_indices": every.astype(np.uint16 if every.max() <= MOST_SHORT else np.uint32),
     }
     if len(seen.rest):
         half = np.clip(seen.rest, -HALF_LIMIT, HALF_LIMIT).astype(np.float16)

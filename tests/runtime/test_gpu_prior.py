@@ -121,6 +121,15 @@ def test_a_network_of_one_layer_without_codes(storage):
     check(dataclasses.replace(model, prior=plain).stored_as(storage), poses)
 
 
+@pytest.mark.parametrize("body", ["skin", "sheet"])
+def test_indices_too_large_for_two_bytes(body, monkeypatch):
+    model, poses = skinned("maps") if body == "skin" else sheet_with_prior("maps")
+    assert gpu_tables(model).textures["prtnet_prior_indices"].dtype == np.uint16
+    monkeypatch.setattr("prtnet.gpu_prior.MOST_SHORT", 10)
+    assert gpu_tables(model).textures["prtnet_prior_indices"].dtype == np.uint32
+    check(model, poses)
+
+
 def test_many_receivers_take_many_rows():
     model, poses = skinned("network", receivers=2 * WIDTH)
     assert gpu_tables(model).textures["prtnet_prior_rest"].shape[0] > 2
