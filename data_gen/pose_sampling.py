@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from data_gen.branches import branches
-from prtnet.animation import Clip, LocalPose, slerp
+from prtnet.animation import Clip, LocalPose
 from prtnet.arrays import BoolArray, FloatArray, IntArray
 from prtnet.errors import PrtnetError
 from prtnet.scene import Scene, SkinnedScene
@@ -93,22 +93,22 @@ class PoseSampler:
         nodes = np.arange(len(self._branch))
         a, b, u = first[self._branch], second[self._branch], share[self._branch]
         m = self._moments
-        rotation = slerp(m.rotation[a, nodes], m.rotation[b, nodes], u)
-        noise = NOISE * rng.standard_normal((len(nodes), 3))
-        turns = np.clip(self._turns(rotation) + noise, self._lowest, self._highest)
-        rotation = (self._mean * Rotation.from_rotvec(turns)).as_quat()
-        place, scale = (
-            (1 - u)[:, None] * x[a, nodes] + u[:, None] * x[b, nodes]
-            for x in (m.translation, m.scale)
+        one, other = (
+            LocalPose(
+                *(x[own, nodes][None] for x in (m.translation, m.rotation, m.scale)),
+                m.weights[ends[-1]][None],
+            )
+            for own, ends in ((a, first), (b, second))
         )
-        weights = self._draw_weights(rng, first[-1], second[-1], share[-1])
-        return LocalPose(place[None], rotation[None], scale[None], weights[None]), used
+        pose = one.blended(other, u[None], share[-1:])
+        noise = NOISE * rng.standard_normal((len(nodes), 3))
+        turns = np.clip(self._turns(pose.rotation[0]) + noise, self._lowest, self._highest)
+        rotation = (self._mean * Rotation.from_rotvec(turns)).as_quat()
+        weights = self._disturbed(rng, pose.weights[0])
+        return LocalPose(pose.translation, rotation[None], pose.scale, weights[None]), used
 
-    def _draw_weights(
-        self, rng: np.random.Generator, first: int, second: int, share: float
-    ) -> FloatArray:
-        weights = (1 - share) * self._moments.weights[first]
-        weights = weights + share * self._moments.weights[second]
+    def _disturbed(self, rng: np.random.Generator, weights: FloatArray) -> FloatArray:
+        """Morph weights (M,) with noise, in the range they were seen in."""
         if self._morphs is None:
             return weights
         low, high = self._morphs

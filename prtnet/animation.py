@@ -148,6 +148,26 @@ class LocalPose:
     def __len__(self) -> int:
         return len(self.translation)
 
+    def blended(
+        self, other: LocalPose, share: FloatArray, morph_share: FloatArray | None = None
+    ) -> LocalPose:
+        """On the way to other poses: rotations the short way round, all else in a straight line.
+
+        Args:
+            other: as many poses of the same rig.
+            share: how far, 0 for this pose, 1 for the other, (P,) or one for each node, (P, N).
+            morph_share: the same for morph weights, (P,); needed where ``share`` is (P, N).
+        """
+        each = share if share.ndim == 2 else share[:, None]
+        morphs = (share if morph_share is None else morph_share)[:, None]
+        part = np.broadcast_to(each, self.rotation.shape[:2])
+        return LocalPose(
+            (1 - part)[..., None] * self.translation + part[..., None] * other.translation,
+            slerp(self.rotation, other.rotation, part),
+            (1 - part)[..., None] * self.scale + part[..., None] * other.scale,
+            (1 - morphs) * self.weights + morphs * other.weights,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Rig:

@@ -6,9 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from prtnet.animation import Clip
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
 from prtnet.files import writing
@@ -19,7 +21,14 @@ from prtnet.scene import Geometry, Receivers, Scene
 from prtnet.sh_rotation import rotate
 from prtnet.time_range import part_of
 
-__all__ = ["ModelledScene"]
+__all__ = ["ModelledScene", "Moment"]
+
+
+class Moment(NamedTuple):
+    """A clip and seconds into it."""
+
+    clip: str
+    time: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +86,34 @@ class ModelledScene:
         found = part_of(self.scene, clip)
         if times is None:
             times = found.times(fps=fps)
-        if not (np.min(times) >= found.start - 1e-6 and np.max(times) <= found.end + 1e-6):
+        self._require_inside(found, times)
+        return self.scene.poses(found, times)
+
+    def blended(self, first: Moment, second: Moment, share: float) -> FloatArray:
+        """The flattened pose (1, D) on the way from one moment to another.
+
+        Args:
+            first: where from; a whole clip.
+            second: where to.
+            share: of the second, 0 to 1.
+
+        Raises:
+            PrtnetError: there is no such clip, or a time is outside it.
+        """
+        one, other = (self.scene.clip(moment.clip) for moment in (first, second))
+        times = np.array([first.time]), np.array([second.time])
+        self._require_inside(one, times[0])
+        self._require_inside(other, times[1])
+        return self.scene.blended((one, other), times, np.array([share]))
+
+    def _require_inside(self, clip: Clip, times: FloatArray) -> None:
+        """Refuse times outside a clip."""
+        if not (np.min(times) >= clip.start - 1e-6 and np.max(times) <= clip.end + 1e-6):
             raise PrtnetError(
                 self.scene.path or self.scene.name,
-                f"clip '{clip}' runs from {found.start:g} to {found.end:g} s; "
-                "give a --time inside it",
+                f"clip '{clip.name}' runs from {clip.start:g} to {clip.end:g} s; "
+                "give a time inside it",
             )
-        return self.scene.poses(found, times)
 
     def dump(
         self,

@@ -120,6 +120,20 @@ class Scene(ABC):
     def poses(self, clip: Clip, times: FloatArray) -> FloatArray:
         """Flattened poses (P, D) float32 of a clip at ``times`` (P,) in seconds."""
 
+    @abstractmethod
+    def blended(
+        self, clips: tuple[Clip, Clip], times: tuple[FloatArray, FloatArray], share: FloatArray
+    ) -> FloatArray:
+        """Flattened poses (P, D) float32 on the way from one clip to another.
+
+        Joints turn about their parents and keep their lengths; vertices of caches go straight.
+
+        Args:
+            clips: from, to.
+            times: in either, seconds, (P,) each.
+            share: of the second, 0 to 1, (P,).
+        """
+
     def geometry(self, poses: FloatArray) -> Geometry:
         """Posed render vertices of flattened poses (P, D).
 
@@ -270,6 +284,12 @@ class SkinnedScene(Scene):
     def poses(self, clip: Clip, times: FloatArray) -> FloatArray:
         return self.flatten(self.rig.sample(clip, times))
 
+    def blended(
+        self, clips: tuple[Clip, Clip], times: tuple[FloatArray, FloatArray], share: FloatArray
+    ) -> FloatArray:
+        one, other = map(self.rig.sample, clips, times)
+        return self.flatten(one.blended(other, share))
+
     def flatten(self, local: LocalPose) -> FloatArray:
         """Flattened poses (P, 12·J + M) float32 of local transforms."""
         with np.errstate(over="ignore", invalid="ignore"):
@@ -417,6 +437,13 @@ class PointCacheScene(Scene):
             u > 0, (1 - u) * self.frames[left] + u * self.frames[right], self.frames[left]
         )
         return blended.reshape(len(frame), -1).astype(np.float32)
+
+    def blended(
+        self, clips: tuple[Clip, Clip], times: tuple[FloatArray, FloatArray], share: FloatArray
+    ) -> FloatArray:
+        one, other = map(self.poses, clips, times)
+        part = share[:, None]
+        return ((1 - part) * one + part * other).astype(np.float32)
 
     def _posed(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         positions = np.asarray(poses, dtype=np.float32).reshape(len(poses), -1, 3)

@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation, Slerp
 
-from prtnet.animation import Channel, Clip, Interpolation, Rig, quaternion_to_matrix, slerp
+from prtnet.animation import (
+    Channel,
+    Clip,
+    Interpolation,
+    LocalPose,
+    Rig,
+    quaternion_to_matrix,
+    slerp,
+)
 
 ROUNDING = 1e-12  # float64, a few operations
 
@@ -172,3 +180,38 @@ def test_a_clip_moves_only_what_it_names() -> None:
     np.testing.assert_array_equal(pose.scale[:, [0, 2, 3]], rest.scale[:, [0, 2, 3]])
     assert rig.weights.tolist() == [0.5, 0.25]  # the rig itself stays at rest
     assert len(pose) == 2
+
+
+def random_local(seed: int) -> LocalPose:
+    rng = np.random.default_rng(seed)
+    turns = Rotation.random(6, rng=rng).as_quat().reshape(2, 3, 4)
+    scale = rng.uniform(0.5, 2.0, (2, 3, 3))
+    return LocalPose(rng.normal(size=(2, 3, 3)), turns, scale, rng.uniform(size=(2, 4)))
+
+
+def test_blended_poses_start_at_one_and_end_at_the_other() -> None:
+    one, other = random_local(0), random_local(1)
+    for share, end in ((0.0, one), (1.0, other)):
+        got = one.blended(other, np.full(2, share))
+        for name in ("translation", "scale", "weights"):
+            np.testing.assert_allclose(getattr(got, name), getattr(end, name), atol=ROUNDING)
+        turns = (quaternion_to_matrix(pose.rotation) for pose in (got, end))
+        np.testing.assert_allclose(*turns, atol=1e-7)
+
+
+def test_every_pose_node_and_morph_weight_has_its_own_share() -> None:
+    one, other = random_local(0), random_local(1)
+    share = np.array([[0.0, 0.3, 1.0], [0.5, 0.2, 0.7]])
+    got = one.blended(other, share, np.array([0.25, 0.75]))
+    for p in range(2):
+        for n in range(3):
+            u = share[p, n]
+            ends = Rotation.from_quat([one.rotation[p, n], other.rotation[p, n]])
+            np.testing.assert_allclose(
+                quaternion_to_matrix(got.rotation[p, n]), Slerp([0, 1], ends)(u).as_matrix(),
+                atol=1e-7,
+            )  # fmt: skip
+            expected = (1 - u) * one.translation[p, n] + u * other.translation[p, n]
+            np.testing.assert_allclose(got.translation[p, n], expected, atol=ROUNDING)
+    morphs = 0.25 * one.weights[1] + 0.75 * other.weights[1]
+    np.testing.assert_allclose(got.weights[1], morphs, atol=ROUNDING)

@@ -296,6 +296,13 @@ def cache(frames: Any, faces: Any, fps: float = 2.0) -> PointCacheScene:
 RISING = np.add(QUAD, [[[0, 0, 0]], [[0, 0, 1]], [[0, 0, 4]]])
 
 
+def test_poses_of_two_moments_are_blended_in_a_straight_line() -> None:
+    scene = cache(RISING, [[0, 1, 2], [0, 2, 3]])
+    clip = scene.clips[0]
+    got = scene.blended((clip, clip), (np.zeros(1), np.ones(1)), np.array([0.25]))
+    np.testing.assert_allclose(got.reshape(-1, 3), np.add(QUAD, [0, 0, 1.0]))
+
+
 def test_frames_are_blended_and_held_at_the_ends() -> None:
     scene = cache(RISING, [[0, 1, 2], [0, 2, 3]])
     poses = scene.poses(scene.clips[0], np.array([-1, 0, 0.25, 0.5, 0.75, 1.0, 9.0]))

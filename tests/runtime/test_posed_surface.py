@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from data_gen.procedural import arm
+from prtnet.errors import PrtnetError
 from prtnet.frames import rest_tangents
-from prtnet.modelled_scene import ModelledScene
+from prtnet.modelled_scene import ModelledScene, Moment
 from prtnet.scene import SkinnedScene
 from runtime.posed_surface import coloured_surface, posed_subject
 from runtime.shading import world_transfer
@@ -60,3 +61,22 @@ def test_colours_of_receivers_are_on_their_vertices(two_sided: bool) -> None:
     if surface.back_transfer is not None:
         assert surface.back_transfer[:, :2] == pytest.approx(positions[:, :2], abs=1e-6)
         assert (surface.back_transfer[:, 2] == -1).all()
+
+
+def test_limbs_keep_their_lengths_on_the_way_between_poses() -> None:
+    """A straight line between matrices would make them short and thin."""
+    scene = arm(segments=6)
+    actor = modelled(scene, two_sided=False)
+    ends = Moment("bend", 0.0), Moment("bend", 2.0)
+    whole = [actor.poses(*end[:1], np.array([end.time])) for end in ends]
+    between = actor.blended(*ends, 0.5)
+    matrices = scene.joint_matrices(np.concatenate([whole[0], between, whole[1]])).astype(float)
+    size = np.linalg.det(matrices[..., :3])
+    np.testing.assert_allclose(size, size[:1].repeat(3, axis=0), rtol=1e-5)
+    assert np.abs(matrices[1] - 0.5 * (matrices[0] + matrices[2])).max() > 0.05
+    for share, end in zip((0.0, 1.0), whole, strict=True):
+        np.testing.assert_allclose(actor.blended(*ends, share), end, atol=1e-6)
+    with pytest.raises(PrtnetError, match="runs from 0 to 4 s"):
+        actor.blended(ends[0], Moment("bend", 9.0), 0.5)
+    with pytest.raises(PrtnetError, match="has no clip"):
+        actor.blended(Moment("bnd", 0.0), ends[1], 0.5)
