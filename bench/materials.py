@@ -46,8 +46,8 @@ class Scene:
         self.actor = ModelledScene(self.model, read_scene(scene_path(scene)))
         found = self.actor.scene.clip(clip)
         self.pose = self.actor.poses(clip, np.array([(found.start + found.end) / 2]))
-        positions = self.actor.scene.geometry(self.pose).positions[0]
-        self.camera = Camera.framing(positions, SIZE[0] / SIZE[1])
+        self.positions = self.actor.scene.geometry(self.pose).positions[0]
+        self.camera = Camera.framing(self.positions, SIZE[0] / SIZE[1])
         self.eye = np.asarray(self.camera.eye)
         self.renderer = renderer
         actor = self.actor
@@ -56,7 +56,7 @@ class Scene:
 
     def coloured(self, radiance: FloatArray) -> FloatArray:
         """The picture of receivers' radiance."""
-        surface = coloured_surface(self.actor, self.pose, radiance)
+        surface = coloured_surface(self.actor, self.positions, radiance)
         return render_colours(self.renderer, surface, self.camera, SIZE)
 
     def traced(self, brdf: BRDF, light: Callable[[FloatArray], FloatArray]) -> FloatArray:

@@ -95,8 +95,10 @@ class PoseSampler:
         m = self._moments
         one, other = (
             LocalPose(
-                *(x[own, nodes][None] for x in (m.translation, m.rotation, m.scale)),
-                m.weights[ends[-1]][None],
+                m.translation[own, nodes][None],
+                m.rotation[own, nodes][None],
+                m.scale[own, nodes][None],
+                m.weights[ends[-1:]],
             )
             for own, ends in ((a, first), (b, second))
         )

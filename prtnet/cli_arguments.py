@@ -127,15 +127,19 @@ def side_by_side(parts: Sequence[Any]) -> Any:
 
 
 def one_line(box: str) -> str:
-    """What tyro's box of an error says, without its frame, its help texts and its pointers."""
+    """What tyro's box of an error says, without its frame, its help texts and its pointers.
+
+    Where the terminal's letters are ASCII the frame is of blanks and dashes.
+    """
     sections: list[list[str]] = [[]]
     for line in box.splitlines():
-        text = line.strip("│╭╮╰╯ ")
-        if line.startswith("│") and text.strip("─"):
-            sections[-1].append(text)
-        else:
+        text = line.strip("│ ")
+        if line.startswith(("╭", "╰")) or not text.strip("─- "):
             sections.append([])
+        else:
+            sections[-1].append(text)
     told = [" ".join(section) for section in sections if section]
+    told = told if "╭" in box else told[1:]  # without the title, else in the frame
     return ". ".join(text for text in told if not text.startswith(("For full", "Argument help")))
 
 

@@ -23,11 +23,18 @@ __all__ = [
     "ReportOptions",
     "TrainOptions",
     "ViewOptions",
+    "blend_of",
     "fraction_of",
 ]
 
 
 MOST_LOBES, MOST_FACTORS = 11, 64  # what shaders are made for
+Look = Literal["prediction", "truth", "visibility", "open", "ambient", "error"]
+RENDER_LEAST = {
+    "rays": 1, "threads": 1, "lobes": 0, "order": 1, "factors": 1, "light_turn": -1e6, "dering": 0,
+    "spin": 1, "fps": 1, "split": 0, "vertex": 0, "azimuth": -1e6, "elevation": -89, "zoom": 0.1,
+    "exposure": -20,
+}  # fmt: skip
 
 
 def at_least(option: str, value: float | None, least: float) -> None:
@@ -55,6 +62,24 @@ def fraction_of(option: str, text: str | None) -> float | None:
         return float(number.removesuffix("%")) / (100 if number.endswith("%") else 1)
     except ValueError:
         raise PrtnetError(option, f"'{text}' is no number; write 5% or 0.05") from None
+
+
+def blend_of(text: str | None) -> tuple[str, float, float] | None:
+    """Clip, seconds and share of ``CLIP:SECONDS:SHARE``.
+
+    Raises:
+        PrtnetError: it is not written so, or the share is not between 0 and 1.
+    """
+    if text is None:
+        return None
+    try:
+        clip, time, share = text.rsplit(":", 2)
+        numbers = float(time), float(share)
+    except ValueError:
+        raise PrtnetError("--blend", f"'{text}' is none; write CLIP:SECONDS:SHARE") from None
+    if not 0.0 <= numbers[1] <= 1.0:
+        raise PrtnetError("--blend", f"a share of {share} is none; give a number from 0 to 1")
+    return clip, *numbers
 
 
 @dataclass(frozen=True)
@@ -133,36 +158,60 @@ class RenderOptions:
 
     model: Positional[Path]  # from prtnet train
     scene: Positional[Path]  # the scene it was fitted to
-    out: Path  # picture to write, .png
+    out: Path  # picture to write, .png, or a movie of the clip, .mp4
     clip: str | None = None  # the animation; the scene's first when not given
     time: float | None = None  # seconds; the middle of the clip when not given
+    blend: str | None = None  # a pose to blend with, CLIP:SECONDS:SHARE, of share 0 to 1
     light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
     light_turn: float = 0.0  # turn the light about the vertical by so many degrees
     dering: float = 0.0  # take ripples off a small bright light: 0.01 is mild, 0.1 strong
-    lobes: int | None = None  # zonal lobes of the light, a colour; as many as it needs by default
+    lobes: int | None = None  # zonal lobes of the light, a colour; 0 for exactly; what it needs
+    order: int | None = None  # bands of light and visibility to show; the model's when not given
     brdf: str = "matte"  # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file
     factors: int = 8  # products that a BRDF is a sum of
+    show: Look = "prediction"  # what to draw; truth is light traced, visibility only that is traced
+    beside: Look | None = None  # what to draw on the right of a split
+    split: float = 0.5  # where that is, a fraction of the width
+    vertex: int | None = None  # show this vertex's visibility on a sphere
     size: tuple[int, int] = (640, 640)  # of the picture, in pixels
+    azimuth: float = 30.0  # of the camera: degrees to the character's left from in front
+    elevation: float = 12.0  # of the camera: degrees above the horizon
+    zoom: float = 1.0  # how many times closer than what shows everything
+    exposure: float = 0.0  # stops brighter
     spin: int | None = None  # so many pictures all around, OUT with a number before its .png
+    fps: int = 30  # pictures a second of a movie
     compare: Literal["truth", "visibility"] | None = None  # show what is ray-traced, and the error
     rays: int = 1024  # rays per receiver of the truth
     renderer: Literal["gl", "cpu"] | None = None  # OpenGL or NumPy; OpenGL where there is one
     threads: int | None = None  # CPU threads; all cores when not given
 
+    @property
+    def moving(self) -> bool:
+        """Whether a movie is wanted."""
+        return self.out.suffix.lower() == ".mp4"
+
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        at_least("--rays", self.rays, 1)
-        at_least("--threads", self.threads, 1)
-        at_least("--lobes", self.lobes, 1)
-        at_least("--factors", self.factors, 1)
-        at_least("--light-turn", self.light_turn, -1e6)
-        at_least("--dering", self.dering, 0)
-        at_least("--spin", self.spin, 1)
+        for option, least in RENDER_LEAST.items():
+            at_least(f"--{option.replace('_', '-')}", getattr(self, option), least)
         if (self.spin or 1) > 999:
             raise PrtnetError("--spin", "is too many; give at most 999 pictures")
+        if self.split > 1.0 or abs(self.elevation) > 89.0:
+            raise PrtnetError("--split and --elevation", "are at most 1, and 89 degrees")
+        if self.fps > 240 or self.zoom > 100.0 or self.exposure > 20.0:
+            raise PrtnetError("--fps, --zoom and --exposure", "are at most 240, 100 and 20")
+        blend_of(self.blend)
         fits_a_shader(self.lobes, self.factors)
-        if self.out.suffix.lower() != ".png":
-            raise PrtnetError(self.out, "is no name of a PNG picture; end it in .png")
+        if self.out.suffix.lower() not in (".png", ".mp4"):
+            raise PrtnetError(
+                self.out, "is no name of a PNG picture or of a movie; end it in .png or .mp4"
+            )
+        if self.moving and self.time is not None and self.spin is None:
+            raise PrtnetError(
+                "--time", "has no place in a movie of a whole clip; leave it out, or add --spin"
+            )
+        if self.compare is not None and (self.show != "prediction" or self.beside is not None):
+            raise PrtnetError("--compare", "shows the prediction; leave out --show and --beside")
         if max(self.size) > 8192:
             raise PrtnetError("--size", "is too large; give at most 8192x8192")
 
@@ -174,8 +223,10 @@ class ViewOptions:
     model: Positional[Path]  # from prtnet train
     scene: Positional[Path]  # the scene it was fitted to
     clip: str | None = None  # the animation to start with; the scene's first when not given
+    blend: str | None = None  # a pose to blend with, CLIP:SECONDS:SHARE, of share 0 to 1
     light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
     lobes: int = 3  # zonal lobes of the light, a colour; 0 for as many as hold it exactly
+    order: int | None = None  # bands of light and visibility to show; the model's when not given
     brdf: str = "matte"  # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file
     factors: int = 8  # products that a BRDF is a sum of
     size: tuple[int, int] = (1280, 800)  # of the window, in pixels
@@ -188,7 +239,9 @@ class ViewOptions:
         at_least("--rays", self.rays, 1)
         at_least("--threads", self.threads, 1)
         at_least("--lobes", self.lobes, 0)
+        at_least("--order", self.order, 1)
         at_least("--factors", self.factors, 1)
+        blend_of(self.blend)
         fits_a_shader(self.lobes, self.factors)
         if max(self.size) > 8192:
             raise PrtnetError("--size", "is too large; give at most 8192x8192")

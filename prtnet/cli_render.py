@@ -1,4 +1,4 @@
-"""The work of ``prtnet render``: one picture of a posed scene, or three side by side.
+"""The work of ``prtnet render``: pictures and movies of a posed scene, as a viewer would show it.
 
 Like ``prtnet.cli``, which it serves, this module imports the other packages: a picture needs the
 ray tracer and the renderers alike.
@@ -6,172 +6,268 @@ ray tracer and the renderers alike.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import functools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from prtnet.cli_options import blend_of
 from prtnet.environment import Environment, environment
+from prtnet.errors import PrtnetError
 from prtnet.materials import brdf_named, material
 from prtnet.model import VisibilityModel
-from prtnet.modelled_scene import ModelledScene
-from prtnet.zh import Lobes, exact_lobes, fewest_lobes, fit_lobes, relative_error
+from prtnet.modelled_scene import ModelledScene, Moment
 
 if TYPE_CHECKING:
     from prtnet.animation import Clip
     from prtnet.arrays import FloatArray
     from prtnet.brdf import BRDF
-    from prtnet.cli_options import RenderOptions, ViewOptions
+    from prtnet.cli_options import RenderOptions
     from prtnet.console import Console
-    from prtnet.reflection import ReflectionOperator
     from runtime.camera import Camera
+    from runtime.cast import Radiance
     from runtime.draw import Renderer
+    from runtime.shot import Posed, Shot
 
-__all__ = ["make_picture", "staged"]
-
-FEW_LOBES = 3  # of a colour
-LOBE_ERROR = 1e-3  # relative, of the light
+__all__ = ["make_picture", "order_of", "staged", "tracers"]
 
 
-@dataclass(frozen=True, eq=False)
-class Shot:
-    """What a picture is of.
+@dataclass(frozen=True)
+class Frame:
+    """One of the pictures to make.
 
     Attributes:
-        actor: the model and its scene.
-        pose: flattened, (1, D).
-        camera: where from.
-        light: what shines on it.
-        lobes: the light as a shader takes it.
-        brdf: the material.
-        operator: the material as a shader takes it.
-        size: of the picture, in pixels.
+        time: seconds into the clip.
+        turn: how far the camera has walked around, radians.
+        path: its own file; None for a picture of a movie.
     """
 
-    actor: ModelledScene
-    pose: FloatArray
-    camera: Camera
-    light: Environment
-    lobes: Lobes
-    brdf: BRDF
-    operator: ReflectionOperator
-    size: tuple[int, int]
-
-    def of(self, renderer: Renderer, visibility: FloatArray) -> FloatArray:
-        """The picture (H, W, 4), linear, with this visibility (V, n²)."""
-        from runtime.draw import render_material
-        from runtime.posed_surface import posed_subject
-
-        subject = posed_subject(self.actor, self.pose, visibility)
-        return render_material(renderer, subject, self.lobes, self.operator, self.camera, self.size)
-
-    def traced(self, renderer: Renderer, rays: int, threads: int) -> FloatArray:
-        """The picture of light traced without limits of bands, factors or lobes."""
-        from data_gen.radiance import trace_radiance
-        from runtime.draw import render_colours
-        from runtime.posed_surface import coloured_surface
-
-        actor = self.actor
-        radiance = trace_radiance(
-            actor.scene, actor.receivers, actor.frame_field, self.pose,
-            np.asarray(self.camera.eye), self.light.radiance, self.brdf, rays, threads,
-        )  # fmt: skip
-        surface = coloured_surface(actor, self.pose, radiance)
-        return render_colours(renderer, surface, self.camera, self.size)
+    time: float
+    turn: float = 0.0
+    path: Path | None = None
 
 
 def make_picture(options: RenderOptions, threads: int, console: Console) -> dict[str, Any]:
-    """Write the picture; facts about it.
+    """Write the picture, pictures or movie; facts about them.
 
     Raises:
-        PrtnetError: model and scene do not belong together, there is no such clip, time, light or
-            material, or the picture cannot be written.
+        PrtnetError: model and scene do not belong together, there is no such clip, time, light,
+            material or vertex, or the file cannot be written.
     """
-    from data_gen.truth import true_visibility
-    from runtime.camera import Camera
     from runtime.draw import opened, usable
-    from runtime.picture import auto_exposure, comparison, develop, save_png
+    from runtime.memory import resident_bytes
 
-    light = environment(options.light).turned(options.light_turn)
-    brdf = brdf_named(options.brdf)
-    actor, clip = staged(options)
-    model = actor.model
-    lobes = lobes_of(light.harmonics(model.order, options.dering), options.lobes)
-    time = (clip.start + clip.end) / 2 if options.time is None else options.time
-    pose = actor.poses(clip.name, np.array([time]))
-    with console.progress() as report:
-        report("material", 0, 0)
-        operator = material(brdf, options.factors, model.order)
-    positions = actor.scene.geometry(pose).positions[0]
-    camera = Camera.framing(positions, options.size[0] / options.size[1])
-    shot = Shot(actor, pose, camera, light, lobes, brdf, operator, options.size)
-    pictures = pictures_of(options)
+    actor = staged(options.model, options.scene)
+    scene = actor.scene
+    clip = scene.clip(options.clip) if options.clip else scene.clips[0]
+    check_vertex(options.vertex, actor)
+    frames = frames_of(options, clip)
+    take = staged_shots(options, actor, clip, frames, threads, console)
     facts = {
-        "out": options.out if options.spin is None else [path for path, _ in pictures],
-        "clip": clip.name, "time": time, "size": options.size,
-        "brdf": options.brdf, "lobes": lobes.axes.shape[1],
+        "out": options.out if frames[0].path in (None, options.out) else [f.path for f in frames],
+        "clip": clip.name, "time": frames[0].time, "size": options.size, "brdf": options.brdf,
+        "lobes": take(frames[0]).lobes.axes.shape[1], "pictures": len(frames),
     }  # fmt: skip
-    predicted, visibility = model(pose)[0], None
-    errors = []
-    exposure: float | None = None
-    with opened(options.renderer or usable(console.message)) as renderer:
-        for path, turn in pictures:
-            own = dataclasses.replace(shot, camera=camera.around(turn))
-            linear, truth = own.of(renderer, predicted), None
-            if options.compare is not None:
-                with console.progress() as report:
-                    report("tracing the truth", 0, 0)
-                    if options.compare == "truth":
-                        truth = own.traced(renderer, options.rays, threads)
-                    else:
-                        if visibility is None:  # the same from all around
-                            visibility = true_visibility(actor, pose, options.rays, threads)
-                        truth = own.of(renderer, visibility)
-            if exposure is None:  # one for all pictures around
-                exposure = auto_exposure(linear if truth is None else truth)
-            if truth is None:
-                picture = develop(linear, exposure)
-            else:
-                captions = "prediction", f"ray-traced {options.compare}"
-                picture, error = comparison(linear, truth, captions, exposure)
-                errors.append(error)
-            save_png(path, picture)
+    errors: list[dict[str, float]] = []
+    exposure: float | None = None  # one for all pictures
+    with contextlib.ExitStack() as held:
+        renderer = held.enter_context(opened(options.renderer or usable(console.message)))
+        report = held.enter_context(console.progress())
+        write = held.enter_context(file_of(options))
+        for number, frame in enumerate(frames):
+            report("pictures", number, len(frames))
+            picture, exposure = drawn(options, take(frame), renderer, exposure, errors)
+            write(frame, picture)
+    facts |= {"model_bytes": options.model.stat().st_size, "resident_bytes": resident_bytes()}
     if errors:
-        facts["error_in_per_cent_of_white"] = errors[0] if options.spin is None else errors
+        facts["error_in_per_cent_of_white"] = errors if len(frames) > 1 else errors[0]
     return facts
 
 
-def staged(options: RenderOptions | ViewOptions) -> tuple[ModelledScene, Clip]:
-    """The model on its scene, and the clip asked for or the first.
+def drawn(
+    options: RenderOptions,
+    shot: Shot,
+    renderer: Renderer,
+    exposure: float | None,
+    errors: list[dict[str, float]],
+) -> tuple[FloatArray, float | None]:
+    """A picture (H, W, 3) and its exposure; the error is added to those there are."""
+    from runtime.picture import auto_exposure, comparison
+
+    modes = (options.show, options.show if options.beside is None else options.beside)
+    if options.compare is None:
+        split = 1.0 if options.beside is None else options.split
+        picture, exposure = shot.split(renderer, modes, split, exposure, options.exposure)
+    else:
+        linear, truth = shot.draw(renderer, "prediction"), shot.draw(renderer, options.compare)
+        exposure = auto_exposure(truth) if exposure is None else exposure
+        captions = "prediction", f"ray-traced {options.compare}"
+        gain = exposure * 2.0**options.exposure
+        picture, error = comparison(linear, truth, captions, gain)
+        errors.append(error)
+    if options.vertex is not None:
+        traced = options.compare is not None or bool({"visibility", "error"} & set(modes))
+        picture = shot.with_vertex(picture, options.vertex, traced)
+    return picture, exposure
+
+
+def staged_shots(
+    options: RenderOptions,
+    actor: ModelledScene,
+    clip: Clip,
+    frames: list[Frame],
+    threads: int,
+    console: Console,
+) -> Callable[[Frame], Shot]:
+    """What makes a shot of a frame."""
+    from runtime.looks import cut_lobes, lobes_of
+    from runtime.shot import Shot
+
+    light = environment(options.light).turned(options.light_turn)
+    brdf = brdf_named(options.brdf)
+    order = order_of(options.order, actor.model.order)
+    lobes = lobes_of(light.harmonics(actor.model.order, options.dering), options.lobes)
+    posed = posing(options, actor, clip, threads)
+    with console.progress() as report:
+        report("material", 0, 0)
+        operator = material(brdf, options.factors, actor.model.order)
+    camera = camera_of(options, actor, clip, posed(frames[0].time))
+
+    def take(frame: Frame) -> Shot:
+        return Shot(
+            posed(frame.time), camera.around(frame.turn), light, cut_lobes(lobes, order), brdf,
+            operator, options.size, order,
+        )  # fmt: skip
+
+    return take
+
+
+def posing(
+    options: RenderOptions, actor: ModelledScene, clip: Clip, threads: int
+) -> Callable[[float], Posed]:
+    """What poses the character at a time of the clip; the last pose is kept."""
+    from runtime.shot import Posed
+
+    trace, radiance = tracers(actor, options.rays, threads)
+    blend = blend_of(options.blend)
+
+    @functools.lru_cache(1)
+    def posed(time: float) -> Posed:
+        if blend is None:
+            pose = actor.poses(clip.name, np.array([time]))
+        else:
+            pose = actor.blended(Moment(clip.name, time), Moment(*blend[:2]), blend[2])
+        return Posed(actor, pose, trace, radiance)
+
+    return posed
+
+
+def camera_of(options: RenderOptions, actor: ModelledScene, clip: Clip, posed: Posed) -> Camera:
+    """Sees the pose, or in a movie all of the clip, from where it is wanted."""
+    from runtime.camera import Camera
+    from runtime.view import framing
+
+    aspect = options.size[0] / options.size[1]
+    angles = np.radians([options.azimuth, options.elevation]).tolist()
+    if options.moving and options.spin is None:
+        camera = framing(actor, clip.name, aspect, azimuth=angles[0], elevation=angles[1])
+    else:
+        camera = Camera.framing(actor.scene.geometry(posed.pose).positions[0], aspect, *angles)
+    if options.zoom == 1.0:
+        return camera
+    eye, target = np.asarray(camera.eye), np.asarray(camera.target)
+    nearer = tuple((target + (eye - target) / options.zoom).tolist())
+    near = 0.02 * float(np.linalg.norm(eye - target)) / options.zoom
+    return dataclasses.replace(camera, eye=nearer, near=near)
+
+
+@contextlib.contextmanager
+def file_of(options: RenderOptions) -> Iterator[Callable[[Frame, FloatArray], None]]:
+    """What pictures are handed to: files of their own, or a movie.
 
     Raises:
-        PrtnetError: a file cannot be used, they do not belong together, or there is no such clip.
+        PrtnetError: it cannot be written.
     """
-    from data_gen.readers import read_scene, require_clips
+    from runtime.movie import movie
+    from runtime.picture import save_png
 
-    model = VisibilityModel.load(options.model)
-    scene = read_scene(options.scene)
-    require_clips(scene)
-    clip = scene.clip(options.clip) if options.clip else scene.clips[0]
-    return ModelledScene(model, scene), clip
+    if not options.moving:
+        yield lambda frame, picture: save_png(frame.path or options.out, picture)
+        return
+    with movie(options.out, options.fps) as add:
+        yield lambda _, picture: add(picture)
 
 
-def pictures_of(options: RenderOptions) -> list[tuple[Path, float]]:
-    """Files to write, and how far the camera has walked around for each, radians."""
+def frames_of(options: RenderOptions, clip: Clip) -> list[Frame]:
+    """The pictures to make: one, all around, or through the clip."""
+    from runtime.movie import require_movies
+
+    if options.moving:
+        require_movies(options.out)
+    time = (clip.start + clip.end) / 2 if options.time is None else options.time
     if options.spin is None:
-        return [(options.out, 0.0)]
+        if options.moving:
+            return [Frame(each) for each in clip.times(options.fps).tolist()]
+        return [Frame(time, 0.0, options.out)]
     width = len(str(options.spin - 1))
+    names = [options.out.with_stem(f"{options.out.stem}_{k:0{width}}") for k in range(options.spin)]
     return [
-        (options.out.with_stem(f"{options.out.stem}_{k:0{width}}"), 2.0 * np.pi * k / options.spin)
-        for k in range(options.spin)
+        Frame(time, 2.0 * np.pi * k / options.spin, None if options.moving else name)
+        for k, name in enumerate(names)
     ]
 
 
-def lobes_of(light: FloatArray, count: int | None) -> Lobes:
-    """Lobes of a light (n², 3): so many of each colour, or few if they hold it, or all it takes."""
-    if count is not None:
-        return fit_lobes(light.T, count)
-    found = fewest_lobes(light.T, FEW_LOBES, LOBE_ERROR)
-    return found if relative_error(light.T, found) <= LOBE_ERROR else exact_lobes(light.T)
+def staged(model_file: Path, scene_file: Path) -> ModelledScene:
+    """The model on its scene.
+
+    Raises:
+        PrtnetError: a file cannot be used, or they do not belong together.
+    """
+    from data_gen.readers import read_scene, require_clips
+
+    model = VisibilityModel.load(model_file)
+    scene = read_scene(scene_file)
+    require_clips(scene)
+    return ModelledScene(model, scene)
+
+
+def tracers(
+    actor: ModelledScene, rays: int, threads: int
+) -> tuple[Callable[[FloatArray], FloatArray], Radiance]:
+    """What traces the truth of one pose: visibility (V, n²), and light towards an eye (V, 3)."""
+    from data_gen.radiance import trace_radiance
+    from data_gen.truth import true_visibility
+
+    def visibility(pose: FloatArray) -> FloatArray:
+        return true_visibility(actor, pose, rays, threads)
+
+    def radiance(pose: FloatArray, eye: FloatArray, light: Environment, brdf: BRDF) -> FloatArray:
+        return trace_radiance(
+            actor.scene, actor.receivers, actor.frame_field, pose, eye, light.radiance, brdf, rays,
+            threads,
+        )  # fmt: skip
+
+    return visibility, radiance
+
+
+def order_of(order: int | None, most: int) -> int:
+    """Bands to show, of so many; 0 for all.
+
+    Raises:
+        PrtnetError: there are not as many.
+    """
+    if order is not None and order > most:
+        raise PrtnetError("--order", f"is {order}; the model has {most} bands, give at most those")
+    return 0 if order in (None, most) else int(order)
+
+
+def check_vertex(vertex: int | None, actor: ModelledScene) -> None:
+    """Refuse a vertex that there is none of."""
+    count = actor.scene.vertex_count
+    if vertex is not None and vertex >= count:
+        raise PrtnetError("--vertex", f"is {vertex}; the scene has {count}, counted from 0")

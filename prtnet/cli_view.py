@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from prtnet.cli_render import staged
+from prtnet.cli_options import blend_of
+from prtnet.cli_render import order_of, staged, tracers
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
 from prtnet.gpu_tables import gpu_tables
@@ -24,9 +26,10 @@ if TYPE_CHECKING:
     from prtnet.arrays import FloatArray
     from prtnet.cli_options import ViewOptions
     from prtnet.model import VisibilityModel
+    from runtime.cast import Cast
     from runtime.viewer import Viewer
 
-__all__ = ["opened_viewer"]
+__all__ = ["cast_of", "opened_viewer"]
 
 
 def opened_viewer(
@@ -38,37 +41,64 @@ def opened_viewer(
         PrtnetError: model and scene do not belong together, there is no such clip, light or
             material, or no window can be opened.
     """
-    from data_gen.truth import true_visibility
-    from runtime.onnx_model import OnnxModel
-    from runtime.show import Show, View
-    from runtime.viewer import Viewer, open_window
-    from training.onnx_export import build_onnx
+    from runtime.show import Show
+    from runtime.view import View
+    from runtime.viewer import Desk, Viewer, open_window
 
     environments = functools.cache(environment)
     environments(options.light)
     brdf_named(options.brdf)
-    actor, clip = staged(options)
-    model = actor.model
-    predict = OnnxModel(build_onnx(model).SerializeToString(), threads)
-
-    def trace(pose: FloatArray) -> FloatArray:
-        return true_visibility(actor, pose, options.rays, threads)
-
-    latents, occluders = rebuilt(model, threads)
+    cast_files = functools.partial(cast_of, rays=options.rays, threads=threads)
+    cast = cast_files(options.model, options.scene)
+    scene = cast.actor.scene
+    clip = scene.clip(options.clip) if options.clip else scene.clips[0]
     if not options.out.is_dir():
         raise PrtnetError(options.out, "is no folder to save pictures in; make it, or give another")
-    window = open_window(f"prtnet: {options.model.name}", options.size, visible)
-    show = Show(window.ctx, actor, predict, trace, environments, latents, occluders)
     view = View(
-        clip.name, clip.start, options.light, lobes=options.lobes, brdf=options.brdf,
-        factors=options.factors,
+        clip.name, clip.start, light=options.light, lobes=options.lobes, brdf=options.brdf,
+        factors=options.factors, order=order_of(options.order, cast.actor.model.order),
     )  # fmt: skip
-    lights, brdfs = list(LIGHTS), [*MATERIALS, *BRDFS]
-    return Viewer(window, show, view, lights, brdfs, options.out, say)
+    if (blend := blend_of(options.blend)) is not None:
+        view.blend_clip, view.blend_time, view.blend = blend
+        view.pose(cast.actor)
+    desk = Desk(
+        list(LIGHTS), [*MATERIALS, *BRDFS], options.out, say, cast_files, options.model,
+        options.scene,
+    )  # fmt: skip
+    window = open_window(f"prtnet: {options.model.name}", options.size, visible)
+    try:
+        return Viewer(window, Show(window.ctx, cast, environments), view, desk)
+    except BaseException:
+        window.close()
+        window.destroy()
+        raise
+
+
+def cast_of(model_file: Path, scene_file: Path, rays: int, threads: int) -> Cast:
+    """A model on its scene, ready to be shown.
+
+    Args:
+        model_file: from ``prtnet train``.
+        scene_file: the scene it was fitted to.
+        rays: per receiver of the truth.
+        threads: that predict and trace.
+
+    Raises:
+        PrtnetError: a file cannot be used, or they do not belong together.
+    """
+    from runtime.cast import Cast
+    from runtime.onnx_model import OnnxModel
+    from training.onnx_export import build_onnx
+
+    actor = staged(model_file, scene_file)
+    predict = OnnxModel(build_onnx(actor.model).SerializeToString(), threads)
+    latents, occluders = rebuilt(actor.model, threads)
+    size = model_file.stat().st_size
+    return Cast(actor, predict, *tracers(actor, rays, threads), latents, size, occluders)
 
 
 def rebuilt(model: VisibilityModel, threads: int) -> tuple[Any, Any]:
-    """What ``runtime.show.Show`` wants to rebuild visibility on the GPU: latents, and occluders.
+    """What a ``runtime.cast.Cast`` has to rebuild visibility on the GPU: latents, and occluders.
 
     None for a model that is the same in all poses; no occluders without a prior.
     """

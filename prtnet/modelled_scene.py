@@ -21,7 +21,7 @@ from prtnet.scene import Geometry, Receivers, Scene
 from prtnet.sh_rotation import rotate
 from prtnet.time_range import part_of
 
-__all__ = ["ModelledScene", "Moment"]
+__all__ = ["ModelledScene", "Moment", "OtherMeshError"]
 
 
 class Moment(NamedTuple):
@@ -29,6 +29,10 @@ class Moment(NamedTuple):
 
     clip: str
     time: float
+
+
+class OtherMeshError(PrtnetError):
+    """A model and a scene do not belong together; either may be well by itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +52,7 @@ class ModelledScene:
         wanted = self.model.metadata.get("mesh_sha256")
         if wanted != self.scene.mesh_sha256 or len(self.receivers) != self.model.receiver_count:
             name = self.model.metadata.get("scene_name", "another scene")
-            raise PrtnetError(
+            raise OtherMeshError(
                 self.scene.path or self.scene.name,
                 f"is not the mesh this model was fitted to ({name}); "
                 "give that scene, or generate and train for this one",

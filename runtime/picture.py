@@ -22,6 +22,7 @@ __all__ = [
     "comparison",
     "compose_panels",
     "develop",
+    "laid_over",
     "luminance",
     "save_png",
     "srgb_encode",
@@ -173,6 +174,23 @@ def draw_bar(
                          (y + length, "0")]:  # fmt: skip
         pen.text((x - 0.4 * text, where), label, INK, small, anchor="rm")
     pen.text((x + width, y - 0.8 * text), unit, INK, small, anchor="rs")
+
+
+def laid_over(picture: FloatArray, over: FloatArray, place: tuple[int, int]) -> FloatArray:
+    """A picture with a smaller one laid over it.
+
+    Args:
+        picture: (H, W, 3) uint8 sRGB.
+        over: (h, w, 4) uint8 sRGB and opacity; what lies outside the picture is cut off.
+        place: pixels from the left and from the top; may be negative.
+
+    Returns:
+        (H, W, 3) uint8.
+    """
+    sheet = Image.fromarray(picture).convert("RGBA")
+    layer = Image.new("RGBA", sheet.size, (0, 0, 0, 0))
+    layer.paste(Image.fromarray(over), place)
+    return np.asarray(Image.alpha_composite(sheet, layer).convert("RGB"))
 
 
 def comparison(

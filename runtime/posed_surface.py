@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
@@ -11,7 +13,7 @@ from prtnet.modelled_scene import ModelledScene
 from runtime.reflected import Side, Subject
 from runtime.shading import Surface, world_transfer
 
-__all__ = ["coloured_surface", "posed_subject", "recorded_surface", "sides"]
+__all__ = ["coloured_surface", "posed_subject", "recorded_surface", "seeing", "sides"]
 
 
 def posed_subject(
@@ -26,28 +28,41 @@ def posed_subject(
     """
     mesh = actor.scene.geometry(pose)
     frames = actor.frame_field.frames(pose, actor.receivers.gather(mesh))[0]
-    if visibility is None:
-        visibility = np.zeros((len(frames), 0), dtype=np.float32)
+    none = np.zeros((len(frames), 0), dtype=np.float32)
     front, back = sides(actor)
-    return Subject(
+    bare = Subject(
         mesh.positions[0],
         actor.scene.faces,
-        Side(visibility[front], frames[front]),
-        None if back is None else Side(visibility[back], frames[back]),
+        Side(none[front], frames[front]),
+        None if back is None else Side(none[back], frames[back]),
     )
+    return bare if visibility is None else seeing(actor, bare, visibility)
 
 
-def coloured_surface(actor: ModelledScene, pose: FloatArray, colours: FloatArray) -> Surface:
-    """The render mesh in one pose, with a colour (V, 3) of every receiver.
+def seeing(actor: ModelledScene, subject: Subject, visibility: FloatArray) -> Subject:
+    """The same pose with other visibility of receivers (V, n²)."""
+    own = zip(sides(actor), (subject.front, subject.back), strict=True)
+    front, back = (
+        None if side is None or receivers is None else Side(visibility[receivers], side.frames)
+        for receivers, side in own
+    )
+    assert front is not None
+    return dataclasses.replace(subject, front=front, back=back)
+
+
+def coloured_surface(actor: ModelledScene, positions: FloatArray, colours: FloatArray) -> Surface:
+    """The render mesh with a colour (V, 3) of every receiver.
 
     Its transfer is that colour: see ``runtime.draw.render_colours``.
+
+    Args:
+        actor: the scene and its receivers.
+        positions: of render vertices, (V_render, 3).
+        colours: linear RGB.
     """
     front, back = sides(actor)
     return Surface(
-        actor.scene.geometry(pose).positions[0],
-        actor.scene.faces,
-        colours[front],
-        None if back is None else colours[back],
+        positions, actor.scene.faces, colours[front], None if back is None else colours[back]
     )
 
 

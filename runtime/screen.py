@@ -72,6 +72,11 @@ class Screen:
             held.release()
         self._held = []
 
+    @property
+    def resources(self) -> list[Any]:
+        """What holds samples and pixels."""
+        return list(self._held)
+
     def clear(self, size: tuple[int, int]) -> Any:
         """A framebuffer of this size to draw linear colour into, empty."""
         if size != self.size:

@@ -1,116 +1,49 @@
 """What a viewer shows, without a window: a character, a light, a material, and ways to look at it.
 
-All that an interactive view changes is in a :class:`View`; a :class:`Show` turns it into a picture
-on any OpenGL context. Windows and command lines only change the view.
+All that an interactive view changes is in a :class:`runtime.view.View`; a :class:`Show` turns it
+into a picture on any OpenGL context. Windows and command lines only change the view.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import math
 import time as clock
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any, Generic, Literal, TypeVar, get_args
+from typing import Any
 
 import moderngl
 import numpy as np
 
 from prtnet.arrays import FloatArray
-from prtnet.brdf import BRDF
+from prtnet.brdf import BRDF, Lambert
 from prtnet.environment import Environment, about_up
-from prtnet.gpu_tables import GPUTables
 from prtnet.materials import brdf_named, material
-from prtnet.modelled_scene import ModelledScene
 from prtnet.reflection import ReflectionOperator
-from prtnet.zh import Lobes, exact_lobes, fit_lobes
+from prtnet.zh import Lobes
+from runtime.background import Background
 from runtime.camera import Camera
+from runtime.cast import Cast
 from runtime.error_pictures import error_scale, vertex_error
+from runtime.looks import (
+    cut_lobes,
+    cut_visibility,
+    heat_colours,
+    lobes_of,
+    open_visibility,
+    white_light,
+)
+from runtime.memory import gpu_bytes, resident_bytes
+from runtime.overlay import Overlay
 from runtime.painted import Painted
-from runtime.picture import auto_exposure, colour_map
-from runtime.posed_surface import coloured_surface, posed_subject, sides
+from runtime.pick import picked
+from runtime.picture import auto_exposure
+from runtime.posed_surface import coloured_surface, posed_subject, seeing, sides
+from runtime.reflected import Subject
 from runtime.screen import Screen
 from runtime.stage import Stage
+from runtime.vertex_sphere import inset_of
+from runtime.view import UNLIT, Mode, View, framing
 
-__all__ = ["MODES", "Mode", "Show", "View"]
-
-Mode = Literal["prediction", "truth", "open", "ambient", "error"]
-MODES: tuple[Mode, ...] = get_args(Mode)
-T = TypeVar("T")
-FRAMED = 9  # poses of a clip that must be in the picture
-TURN_STEP = math.radians(0.25)  # a drag's pixel
-
-
-@dataclass
-class View:
-    """What is looked at, and how.
-
-    Attributes:
-        clip: the animation.
-        time: seconds into it.
-        light, brdf: names, as in ``prtnet render``.
-        light_turn: of the light about the vertical, degrees.
-        lobes: of the light, a colour; 0 for as many as hold it exactly.
-        factors: of the BRDF.
-        left, right: what either side of the split shows.
-        split: where that is, a fraction of the width; 1 for the left side alone.
-        azimuth, elevation: of the camera, radians.
-        distance: of the camera, times the one that frames the character.
-        pan: of the target, metres along the picture's axes.
-        exposure: stops beside the one chosen under this light.
-        playing: whether time goes on; the truth is traced when it does not.
-    """
-
-    clip: str
-    time: float = 0.0
-    light: str = "studio"
-    light_turn: float = 0.0
-    lobes: int = 3
-    brdf: str = "matte"
-    factors: int = 8
-    left: Mode = "prediction"
-    right: Mode = "truth"
-    split: float = 1.0
-    azimuth: float = math.radians(30.0)
-    elevation: float = math.radians(12.0)
-    distance: float = 1.0
-    pan: tuple[float, float] = (0.0, 0.0)
-    exposure: float = 0.0
-    playing: bool = False
-
-    def orbit(self, right: float, down: float) -> None:
-        """Walk the camera around the character by so many pixels of a drag."""
-        self.azimuth = (self.azimuth - TURN_STEP * right) % (2.0 * math.pi)
-        limit = math.radians(89.0)
-        self.elevation = min(max(self.elevation + TURN_STEP * down, -limit), limit)
-
-    def zoom(self, steps: float) -> None:
-        """Step towards the character."""
-        self.distance = min(max(self.distance * 0.9**steps, 0.05), 20.0)
-
-
-class Background(Generic[T]):
-    """The last thing asked for, made in a thread of its own; one at a time."""
-
-    def __init__(self) -> None:
-        self.worker = ThreadPoolExecutor(1)
-        self.key: Any = None
-        self.future: Future[T] | None = None
-
-    @property
-    def busy(self) -> bool:
-        """Whether something is being made."""
-        return self.future is not None and not self.future.done()
-
-    def get(self, key: Any, make: Callable[[], T], wait: bool = False) -> T | None:
-        """What is asked for; None while it is being made, or something else still is."""
-        if wait and self.future is not None and self.key != key:
-            self.future.exception()  # done with, whatever came of it
-        if self.key != key and not self.busy:
-            self.key, self.future = key, self.worker.submit(make)
-        ready = self.future is not None and self.key == key and (wait or self.future.done())
-        return self.future.result() if ready and self.future is not None else None
+__all__ = ["Show"]
 
 
 class Show:
@@ -118,13 +51,8 @@ class Show:
 
     Args:
         context: OpenGL that everything lives in; it must be current at every call.
-        actor: the model and its scene.
-        predict: poses (P, D) to visibility (P, V, n²).
-        trace: the truth of one pose (1, D), (V, n²); runs in a thread of its own.
+        cast: the character.
         environments: lights by name.
-        latents: poses (P, D) to latents (P, Σ latents) as a shader wants them, and the model's
-            tables, where predictions are to be rebuilt on the GPU.
-        occluders: poses (P, D) to what a prior wants to know of them on the GPU (P, N, 4).
 
     Attributes:
         milliseconds: of the stages of the last frame, by name.
@@ -133,80 +61,79 @@ class Show:
     """
 
     def __init__(
-        self,
-        context: moderngl.Context,
-        actor: ModelledScene,
-        predict: Callable[[FloatArray], FloatArray],
-        trace: Callable[[FloatArray], FloatArray],
-        environments: Callable[[str], Environment],
-        latents: tuple[Callable[[FloatArray], FloatArray], GPUTables] | None = None,
-        occluders: Callable[[FloatArray], FloatArray] | None = None,
+        self, context: moderngl.Context, cast: Cast, environments: Callable[[str], Environment]
     ) -> None:
-        self.context, self.actor = context, actor
-        self.predict, self.trace, self.environments = predict, trace, environments
-        self.order = actor.model.order
-        self.stage, self.screen = Stage(context, self.order), Screen(context)
-        self.painted = Painted(context)
-        self.latents, self.rebuilt, self.occluders = None, None, occluders
-        if latents is not None:
-            self.latents = latents[0]
-            self.rebuilt = Stage(context, self.order, latents[1])
+        self.context, self.cast, self.environments = context, cast, environments
+        self.actor = cast.actor
+        self.order = cast.actor.model.order
         self.milliseconds: dict[str, float] = {}
         self.exposures: dict[str, float] = {}
         self.error_top = 0.0
         self.framing: Camera | None = None
         self._truth: Background[FloatArray] = Background()
+        self._radiance: Background[FloatArray] = Background()
         self._material: Background[ReflectionOperator] = Background()
         self._operator: ReflectionOperator | None = None
         self._brdf: tuple[str, BRDF] | None = None
         self._lit: tuple[Any, Lobes] | None = None
         self._posed: tuple[Any, FloatArray] | None = None
+        self._subject: tuple[Any, Subject] | None = None
         self._predicted: tuple[Any, FloatArray] | None = None
-        white = np.zeros((self.order**2, 3))
-        white[0] = math.sqrt(4.0 * math.pi)
-        self._white = exact_lobes(white.T)
+        self._traced: tuple[Any, FloatArray] | None = None
+        self._inset: tuple[Any, list[tuple[FloatArray, tuple[int, int]]]] | None = None
+        self._white = white_light(self.order)
         self._matte = material(brdf_named("matte"), order=self.order)
+        self._made: list[Any] = []
+        self.rebuilt: Stage | None = None
+        try:
+            self.stage = self._keep(Stage(context, self.order))
+            self.screen = self._keep(Screen(context))
+            self.painted = self._keep(Painted(context))
+            self.overlay = self._keep(Overlay(context))
+            if cast.latents is not None:
+                self.rebuilt = self._keep(Stage(context, self.order, cast.latents[1]))
+        except BaseException:
+            self.release()
+            raise
+
+    def _keep(self, made: Any) -> Any:
+        """Something to be given back in the end."""
+        self._made.append(made)
+        return made
 
     @property
     def waiting(self) -> str:
         """What is being made in the background, in words; empty where nothing is."""
         tasks: dict[str, Background[Any]] = {
-            "tracing the truth": self._truth,
+            "tracing visibility": self._truth,
+            "tracing the truth": self._radiance,
             "making the material": self._material,
         }
         return ", ".join(what for what, task in tasks.items() if task.busy)
 
     def release(self) -> None:
         """Give everything back but the context; what is being traced is waited for."""
-        for task in (self._truth, self._material):
-            task.worker.shutdown(cancel_futures=True)
-        for held in (self.stage, self.rebuilt, self.screen, self.painted):
+        for task in (self._truth, self._radiance, self._material):
+            task.release()
+        for held in self._made:
+            held.release()
+        self._made = []
+
+    def memory(self) -> dict[str, int]:
+        """Bytes by what takes them: the model's file, parts of the GPU's memory, the process."""
+        found = {"model file": self.cast.model_bytes}
+        for name, held in (("latents", self.rebuilt), ("visibility", self.stage)):
             if held is not None:
-                held.release()
+                found[f"GPU {name}"] = gpu_bytes(held.resources)
+        found["GPU picture"] = gpu_bytes(self.screen.resources)
+        found["process"] = resident_bytes()
+        return {name: count for name, count in found.items() if count}
 
     def camera(self, view: View) -> Camera:
         """Where a view is from: what frames the first clip, walked around."""
         if self.framing is None:
-            clip = self.actor.scene.clip(view.clip)
-            poses = self.actor.poses(clip.name, np.linspace(clip.start, clip.end, FRAMED))
-            self.framing = Camera.framing(self.actor.scene.geometry(poses).positions, 1.0)
-        base = self.framing
-        target, eye = np.asarray(base.target), np.asarray(base.eye)
-        reach = float(np.linalg.norm(eye - target))
-        flat = math.cos(view.elevation)
-        towards = np.array(
-            [math.sin(view.azimuth) * flat, math.sin(view.elevation), math.cos(view.azimuth) * flat]
-        )
-        right = np.array([math.cos(view.azimuth), 0.0, -math.sin(view.azimuth)])
-        target = target + view.pan[0] * right + view.pan[1] * np.cross(towards, right)
-        eye = target + reach * view.distance * towards
-        return dataclasses.replace(
-            base,
-            eye=tuple(eye.tolist()),
-            target=tuple(target.tolist()),
-            near=0.02 * reach * view.distance,
-            far=reach * view.distance + base.far,
-        )
+            self.framing = framing(self.actor, view.clip)
+        return view.camera(self.framing)
 
     def draw(self, view: View, size: tuple[int, int], target: Any) -> None:
         """Draw a view into a framebuffer of this size."""
@@ -224,11 +151,13 @@ class Show:
                 frame.scissor = (left, 0, width, size[1])
                 self._draw(mode, view, camera, size, frame, exposure)
         frame.scissor = None
-        if view.light not in self.exposures and view.left not in ("ambient", "error"):
-            drawn = auto_exposure(self.screen.linear())
-            self.exposures[view.light] = drawn
-            exposure = drawn * 2.0**view.exposure
+        if view.light not in self.exposures and self._expose(view, split):
+            self.draw(view, size, target)  # also what is at an exposure of its own
+            return
         self.screen.present(target, exposure)
+        if view.vertex is not None:
+            for picture, place in self.insets(view, size):
+                self.overlay.draw(target, picture, place)
         self.milliseconds["frame"] = 1e3 * (clock.perf_counter() - started)
 
     def _draw(
@@ -241,52 +170,72 @@ class Show:
         exposure: float,
     ) -> None:
         """One side of the split; nothing where the truth is not known yet."""
-        pose, matrix = self.pose(view), camera.matrix(size[0] / size[1])
+        matrix = camera.matrix(size[0] / size[1])
         eye = np.asarray(camera.eye)
-        if mode == "prediction" and self.rebuilt is not None:
+        whole = view.order in (0, self.order)
+        if mode == "prediction" and self.rebuilt is not None and whole:
             self._draw_latents(self.rebuilt, view, frame, matrix, eye)
             return
-        predicted = self.predicted(view)
-        truth = self.truth(view) if mode in ("truth", "error") else None
-        if mode in ("truth", "error") and truth is None:
+        if mode in ("truth", "error"):
+            colours = self._painted_colours(mode, view, camera, exposure)
+            if colours is not None:
+                positions = self.subject(view).positions
+                surface = coloured_surface(self.actor, positions, colours)
+                self.painted.draw(frame, surface, matrix, 1.0)
             return
-        if mode == "error" and truth is not None:
-            wrong = vertex_error(predicted, truth)
-            self.error_top = error_scale(wrong)
-            heat = (colour_map(100.0 * wrong / self.error_top) / 255.0) ** 2.2
-            surface = coloured_surface(self.actor, pose, heat.astype(np.float32))
-            self.painted.draw(frame, surface, matrix, 1.0 / exposure)
+        shown = self._visibility(mode, view)
+        if shown is None:
             return
-        visibility = predicted if truth is None else truth
-        if mode == "open":
-            visibility = np.zeros_like(predicted)
-            visibility[:, 0] = math.sqrt(4.0 * math.pi)
         plain = mode == "ambient"
         white = Lobes(self._white.axes, self._white.coefficients / exposure)
         self.stage.light(white if plain else self.lit(view))
         self.stage.material(self._matte if plain else self.operator(view))
-        started = clock.perf_counter()
-        subject = posed_subject(self.actor, pose, visibility)
-        self._count(pose=1e3 * (clock.perf_counter() - started))
-        self.stage.show(subject)
+        self.stage.show(seeing(self.actor, self.subject(view), shown))
         self.stage.draw(frame, matrix, eye)
         self._count(**self.stage.milliseconds)
+
+    def _expose(self, view: View, split: int) -> bool:
+        """Choose the exposure under this light by what has been drawn, if anything lit has been."""
+        for mode, columns in ((view.left, slice(split)), (view.right, slice(split, None))):
+            drawn = self.screen.linear()[:, columns]
+            if mode not in UNLIT and drawn[..., 3].any():  # not while the truth is being traced
+                self.exposures[view.light] = auto_exposure(drawn)
+                return True
+        return False
+
+    def _painted_colours(
+        self, mode: Mode, view: View, camera: Camera, exposure: float
+    ) -> FloatArray | None:
+        """Linear colours of receivers (V, 3) of what is not shaded here; None if not known yet."""
+        if mode == "truth":
+            return self.radiance(view, camera)
+        truth = self.truth(view)
+        if truth is None:
+            return None
+        wrong = vertex_error(cut_visibility(self.predicted(view), view.order), truth)
+        self.error_top = error_scale(wrong)
+        return heat_colours(wrong, self.error_top) / exposure
+
+    def _visibility(self, mode: Mode, view: View) -> FloatArray | None:
+        """What is shaded with, (V, n²); None if it is not known yet."""
+        if mode == "open":
+            return open_visibility(len(self.actor.receivers), self.order)
+        shown = self.truth(view) if mode == "visibility" else self.predicted(view)
+        return None if shown is None else cut_visibility(shown, view.order)
 
     def _draw_latents(
         self, stage: Stage, view: View, frame: Any, matrix: FloatArray, eye: FloatArray
     ) -> None:
         """The prediction, its visibility rebuilt on the GPU."""
-        assert self.latents is not None
+        assert self.cast.latents is not None
         stage.light(self.lit(view))
         stage.material(self.operator(view))
         pose = self.pose(view)
         started = clock.perf_counter()
-        latents = self.latents(pose)[0]
-        occluders = None if self.occluders is None else self.occluders(pose)[0]
+        latents = self.cast.latents[0](pose)[0]
+        occluders = None if self.cast.occluders is None else self.cast.occluders(pose)[0]
         self._count(model=1e3 * (clock.perf_counter() - started))
-        started = clock.perf_counter()
-        subject = posed_subject(self.actor, pose)
-        self._count(pose=1e3 * (clock.perf_counter() - started))
+        subject = self.subject(view)
         front, back = sides(self.actor)
         receivers = [front] if back is None else [front, back]
         stage.show_latents(subject, latents, receivers, occluders)
@@ -298,26 +247,59 @@ class Show:
         for stage, ms in spent.items():
             self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + ms
 
+    def pick(
+        self, view: View, size: tuple[int, int], place: tuple[float, float]
+    ) -> tuple[int, bool] | None:
+        """The vertex at a place of a picture (pixels from the left, the top), and whether it is its
+        back that is seen; None where nothing is.
+        """
+        subject = self.subject(view)
+        matrix = self.camera(view).matrix(size[0] / size[1])
+        found = picked(subject.positions, subject.faces, matrix, size, place)
+        return None if found is None else (found[0], found[1] and subject.back is not None)
+
+    def insets(self, view: View, size: tuple[int, int]) -> list[tuple[FloatArray, tuple[int, int]]]:
+        """What ``inset_of`` lays over a picture: of the view's vertex, the prediction, and the
+        traced visibility beside it where it is known.
+        """
+        assert view.vertex is not None
+        camera, truth = self.camera(view), self._truth.known(view.moments)
+        key = (view.vertex, view.moments, view.order, camera, size, truth is not None)
+        if self._inset is None or self._inset[0] != key:
+            shown = [("predicted", self.predicted(view))]
+            shown += [] if truth is None else [("traced", truth)]
+            cut = [(caption, cut_visibility(one, view.order)) for caption, one in shown]
+            subject = self.subject(view)
+            self._inset = key, inset_of(self.actor, subject, view.vertex, cut, camera, size)
+        return self._inset[1]
+
     def metres(self, view: View, height: int) -> float:
         """What a pixel of a picture of this height is wide at the target."""
         camera = self.camera(view)
         reach = np.linalg.norm(np.asarray(camera.eye) - np.asarray(camera.target))
-        return float(2.0 * math.tan(camera.fov / 2.0) * reach / max(height, 1))
+        return float(2.0 * np.tan(camera.fov / 2.0) * reach / max(height, 1))
 
     def pose(self, view: View) -> FloatArray:
         """The pose of a view, (1, D)."""
-        key = (view.clip, view.time)
-        if self._posed is None or self._posed[0] != key:
-            self._posed = key, self.actor.poses(view.clip, np.array([view.time]))
+        if self._posed is None or self._posed[0] != view.moments:
+            self._posed = view.moments, view.pose(self.actor)
         return self._posed[1]
+
+    def subject(self, view: View) -> Subject:
+        """Vertices and frames of the pose."""
+        if self._subject is None or self._subject[0] != view.moments:
+            pose = self.pose(view)
+            started = clock.perf_counter()
+            self._subject = view.moments, posed_subject(self.actor, pose)
+            self._count(pose=1e3 * (clock.perf_counter() - started))
+        return self._subject[1]
 
     def predicted(self, view: View) -> FloatArray:
         """Its predicted visibility, (V, n²)."""
-        key = (view.clip, view.time)
-        if self._predicted is None or self._predicted[0] != key:
+        if self._predicted is None or self._predicted[0] != view.moments:
             pose = self.pose(view)
             started = clock.perf_counter()
-            self._predicted = key, self.predict(pose)[0]
+            self._predicted = view.moments, self.cast.predict(pose)[0]
             self._count(model=1e3 * (clock.perf_counter() - started))
         return self._predicted[1]
 
@@ -329,7 +311,34 @@ class Show:
         if view.playing and not wait:
             return None
         pose = self.pose(view)
-        return self._truth.get((view.clip, view.time), lambda: self.trace(pose), wait)
+        return self._truth.get(view.moments, lambda: self.cast.trace(pose), wait)
+
+    def radiance(self, view: View, camera: Camera, wait: bool = False) -> FloatArray | None:
+        """What receivers truly send to the camera, (V, 3), traced as ``truth`` is.
+
+        While it is traced for a camera that has moved, what the last one saw is given.
+        """
+        if view.playing and not wait:
+            return None
+        brdf, pose = self.brdf(view), self.pose(view)
+        light = self.environments(view.light).turned(view.light_turn)
+        look = (view.moments, view.light, view.light_turn, view.brdf)
+        eye = None if isinstance(brdf, Lambert) else camera.eye  # seen alike from everywhere
+        place = np.asarray(camera.eye)
+        found = self._radiance.get(
+            (look, eye), lambda: self.cast.radiance(pose, place, light, brdf), wait
+        )
+        if found is not None:
+            self._traced = look, found
+        return self._traced[1] if self._traced is not None and self._traced[0] == look else None
+
+    def settle(self, view: View) -> None:
+        """Wait for everything that a view needs; nothing of it is then missing or old."""
+        self.operator(view, wait=True)
+        if {"visibility", "error"} & set(view.modes):
+            self.truth(view, wait=True)
+        if "truth" in view.modes:
+            self.radiance(view, self.camera(view), wait=True)
 
     def brdf(self, view: View) -> BRDF:
         """The reflectance that a view names.
@@ -357,6 +366,6 @@ class Show:
         """The lobes of the light: fitted once, then turned."""
         key = (view.light, view.lobes)
         if self._lit is None or self._lit[0] != key:
-            light = self.environments(view.light).harmonics(self.order).T
-            self._lit = key, exact_lobes(light) if view.lobes == 0 else fit_lobes(light, view.lobes)
-        return self._lit[1].rotated(about_up(view.light_turn))
+            light = self.environments(view.light).harmonics(self.order)
+            self._lit = key, lobes_of(light, view.lobes)
+        return cut_lobes(self._lit[1].rotated(about_up(view.light_turn)), view.order)

@@ -83,7 +83,11 @@ class Stage:
         for unit, name in enumerate(TEXTURES):
             self._set(name, unit)
         if tables is not None:
-            self._take(tables)
+            try:
+                self._take(tables)
+            except BaseException:
+                self.release()
+                raise
 
     def release(self) -> None:
         """Give everything back but the context."""
@@ -92,6 +96,11 @@ class Stage:
                 held.release()
         self._held.clear()
         self._mesh = None
+
+    @property
+    def resources(self) -> list[Any]:
+        """Buffers and textures that are held."""
+        return list(self._held.values())
 
     def show(self, subject: Subject) -> None:
         """Take a subject's pose.

@@ -7,35 +7,66 @@ from __future__ import annotations
 
 import contextlib
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
-from runtime.picture import save_png
-from runtime.show import MODES, Show, View
+from runtime import recording
+from runtime.cast import Cast
+from runtime.dropped import take_files
+from runtime.show import Show
+from runtime.view import MODES, View
 
-__all__ = ["Viewer", "open_window"]
+__all__ = ["Desk", "Viewer", "open_window"]
 
 HELP = (
     ("drag", "walk around"),
     ("right drag", "turn the light"),
     ("middle drag", "move the picture"),
     ("wheel", "come closer"),
+    ("mouse", "a vertex's visibility on a sphere"),
+    ("V", "keep showing that vertex"),
     ("Space", "play or pause"),
     ("Left, Right", "step a frame"),
-    ("1 to 5", "prediction, truth, open, ambient, error"),
+    ("1 to 6", "prediction, truth, visibility, open, ambient, error"),
     ("C", "compare: split the picture"),
     ("S", "save a picture"),
-    ("T", "save a turntable of pictures"),
+    ("T, M", "save a turntable: pictures, a movie"),
+    ("P", "save a movie of the clip"),
     ("R", "back to the first view"),
+    ("drop", "models, scenes, lights, MERL materials"),
     ("H", "this help"),
-    ("Esc", "leave"),
+    ("Esc", "stop saving; leave"),
 )
 FRAME = 1.0 / 30.0  # seconds of a step of the arrow keys
-TURNTABLE = 36  # pictures
+
+
+@dataclass
+class Desk:
+    """What is at a viewer's hand.
+
+    Attributes:
+        lights: names to choose from.
+        brdfs: likewise.
+        out: folder of saved pictures.
+        say: is told what was saved.
+        open_files: a model's and a scene's file, made into what can be shown.
+        model: the file of what is shown.
+        scene: likewise.
+    """
+
+    lights: list[str]
+    brdfs: list[str]
+    out: Path
+    say: Callable[[str], None]
+    open_files: Callable[[Path, Path], Cast]
+    model: Path
+    scene: Path
 
 
 def open_window(title: str, size: tuple[int, int], visible: bool = True) -> Any:
@@ -72,29 +103,21 @@ class Viewer:
         window: from :func:`open_window`.
         show: what is drawn, on the window's context.
         view: where it starts.
-        lights, brdfs: names to choose from.
-        out: folder of saved pictures.
-        say: is told what was saved.
+        desk: what else there is to choose from.
     """
 
-    def __init__(
-        self,
-        window: Any,
-        show: Show,
-        view: View,
-        lights: list[str],
-        brdfs: list[str],
-        out: Path,
-        say: Callable[[str], None],
-    ) -> None:
+    def __init__(self, window: Any, show: Show, view: View, desk: Desk) -> None:
         from imgui_bundle import imgui
         from moderngl_window.integrations.imgui_bundle import ModernglWindowRenderer
 
         from runtime.viewer_panel import Panel
 
-        self.window, self.show, self.view = window, show, view
-        self.out, self.say = out, say
-        self.helping, self.saved = False, 0
+        self.window, self.show, self.view, self.desk = window, show, view, desk
+        self.helping = False
+        self.following = True  # the mouse, with the vertex whose visibility is shown
+        self.mouse: tuple[int, int] | None = None
+        self.saving: Iterator[str] | None = None
+        self.waiting_files: dict[str, Path] = {}
         view.playing = True
         self.good = View(**vars(view))
         self.message = ""
@@ -103,11 +126,12 @@ class Viewer:
         imgui.get_io().set_ini_filename("")
         self.imgui = imgui
         self.interface = ModernglWindowRenderer(window)
-        self.panel = Panel(self, lights, brdfs)
+        self.panel = Panel(self)
+        window.exit_key = None  # Esc has more to do than to close
         window.render_func = self.render
         window.resize_func = self.interface.resize
         window.key_event_func = self.key
-        window.mouse_position_event_func = self.interface.mouse_position_event
+        window.mouse_position_event_func = self.moved
         window.mouse_drag_event_func = self.drag
         window.mouse_scroll_event_func = self.scroll
         window.mouse_press_event_func = self.interface.mouse_press_event
@@ -127,8 +151,10 @@ class Viewer:
         """One frame, so many seconds after the last."""
         self.window.use()
         self.imgui.get_io().delta_time = max(elapsed, 1e-4)
-        if self.view.playing:
-            self.advance(elapsed)
+        if self.saving is not None:
+            self.save_on()
+        elif self.view.playing:
+            self.view.advance(self.show.actor, elapsed)
         self.render(0.0, elapsed)
         self.window.swap_buffers()  # also hands the window's events out
 
@@ -143,8 +169,12 @@ class Viewer:
     def picture(self) -> None:
         """Draw without the panel; a view that cannot be drawn is told, and taken back."""
         size, target = self.window.buffer_size, self.window.fbo
+        if not min(size):  # minimised
+            return
         try:
             self.show.draw(self.view, size, target)
+            if self.following and self.saving is None:
+                self.view.vertex = self.pointed_at(size)
         except Exception as error:  # whatever background work ended in, too
             if vars(self.view) == vars(self.good):
                 raise
@@ -159,12 +189,56 @@ class Viewer:
         known = isinstance(error, PrtnetError)
         self.message = f"{error.subject}: {error.message}" if known else f"{error!r}"  # type: ignore[attr-defined]
 
-    def advance(self, seconds: float) -> None:
-        """Go on in the clip, and around."""
-        clip = self.show.actor.scene.clip(self.view.clip)
-        length = clip.end - clip.start
-        if length > 0:
-            self.view.time = clip.start + (self.view.time - clip.start + seconds) % length
+    def pointed_at(self, size: tuple[int, int]) -> tuple[int, bool] | None:
+        """The vertex under the mouse, and whether it is its back."""
+        if self.mouse is None or self.imgui.get_io().want_capture_mouse:
+            return None
+        ratio = self.window.pixel_ratio
+        place = (self.mouse[0] + 0.5) * ratio, (self.mouse[1] + 0.5) * ratio
+        return self.show.pick(self.view, size, place)
+
+    def change(self, name: str, value: Any) -> None:
+        """Change the light or the material, unless that cannot be drawn: then say why."""
+        before = getattr(self.view, name)
+        if value == before:
+            return
+        setattr(self.view, name, value)
+        try:
+            if name == "light":
+                self.show.lit(self.view)
+            else:
+                self.show.brdf(self.view)
+            self.message = ""
+        except PrtnetError as error:
+            setattr(self.view, name, before)
+            self.complain(error)
+
+    def take(self, cast: Cast) -> None:
+        """Show another character, as this one is shown, if it can be.
+
+        Raises:
+            Exception: it cannot be drawn; this one stays.
+        """
+        view = View(**vars(self.view))
+        names = [clip.name for clip in cast.actor.scene.clips]
+        if view.clip not in names:
+            view.clip = names[0]
+        clip = cast.actor.scene.clip(view.clip)
+        view.time = min(max(view.time, clip.start), clip.end)
+        view.blend_clip, view.blend, view.pan, view.vertex = "", 0.0, (0.0, 0.0), None
+        view.order = view.order if view.order < cast.actor.model.order else 0
+        self.window.use()
+        show = Show(self.window.ctx, cast, self.show.environments)
+        try:
+            show.draw(view, self.window.buffer_size, self.window.fbo)
+        except BaseException:
+            show.release()
+            raise
+        self.stop_saving()
+        self.show.release()
+        self.show = show
+        vars(self.view).update(vars(view))
+        self.good, self.first = View(**vars(view)), View(**vars(view))
 
     def key(self, key: Any, action: Any, modifiers: Any) -> None:
         """A key went down or up."""
@@ -172,29 +246,41 @@ class Viewer:
         self.interface.key_event(key, action, modifiers)
         if action != keys.ACTION_PRESS or self.imgui.get_io().want_text_input:
             return
-        numbers = (keys.NUMBER_1, keys.NUMBER_2, keys.NUMBER_3, keys.NUMBER_4, keys.NUMBER_5)
+        numbers = (
+            keys.NUMBER_1, keys.NUMBER_2, keys.NUMBER_3, keys.NUMBER_4, keys.NUMBER_5,
+            keys.NUMBER_6,
+        )  # fmt: skip
+        savings = {
+            keys.S: recording.picture, keys.T: recording.turntable,
+            keys.M: recording.turntable_movie, keys.P: recording.clip_movie,
+        }  # fmt: skip
         if key in numbers:
             self.view.left = MODES[numbers.index(key)]
+        elif key in savings:
+            self.save(savings[key])
+        elif key == keys.ESCAPE:
+            if self.saving is None:
+                self.window.close()
+            self.stop_saving()
         elif key == keys.SPACE:
             self.view.playing = not self.view.playing
         elif key in (keys.LEFT, keys.RIGHT):
             self.view.playing = False
-            self.advance(FRAME if key == keys.RIGHT else -FRAME)
+            self.view.advance(self.show.actor, FRAME if key == keys.RIGHT else -FRAME)
         elif key == keys.C:
             self.view.split = 0.5 if self.view.split == 1.0 else 1.0
+        elif key == keys.V:
+            self.following = not self.following
         elif key == keys.H:
             self.helping = not self.helping
         elif key == keys.R:
             vars(self.view).update(vars(self.first))
             self.show.exposures.clear()
-        elif key in (keys.S, keys.T):
-            try:
-                if key == keys.S:
-                    self.save(self.name("picture"))
-                else:
-                    self.turntable()
-            except PrtnetError as error:
-                self.complain(error)
+
+    def moved(self, x: int, y: int, dx: int, dy: int) -> None:
+        """The mouse moved."""
+        self.interface.mouse_position_event(x, y, dx, dy)
+        self.mouse = x, y
 
     def drag(self, x: int, y: int, dx: int, dy: int) -> None:
         """The mouse moved with a button down."""
@@ -217,30 +303,37 @@ class Viewer:
             self.view.zoom(up)
 
     def dropped(self, _x: int, _y: int, paths: list[Any]) -> None:
-        """Files fell on the window: a light or a measured material."""
-        for path in map(str, paths):
-            name = "brdf" if path.lower().endswith(".binary") else "light"
-            before = getattr(self.view, name)
-            setattr(self.view, name, path)
-            try:
-                (self.show.brdf if name == "brdf" else self.show.lit)(self.view)
-            except PrtnetError as error:
-                setattr(self.view, name, before)
-                self.complain(error)
+        """Files fell on the window."""
+        take_files(self, paths)
 
-    def name(self, kind: str) -> Path:
-        """A file that is not there yet."""
-        while any(self.out.glob(f"{kind}_{self.saved:03d}*.png")):
-            self.saved += 1
-        return self.out / f"{kind}_{self.saved:03d}.png"
+    def save(self, recorder: Callable[[Viewer], Iterator[str]]) -> None:
+        """Begin to save something, a picture a step; ``runtime.recording`` has what there is."""
+        self.stop_saving()
+        self.view.playing = False  # what is traced is this pose
+        self.saving = recorder(self)
 
-    def save(self, path: Path) -> None:
-        """Write the picture without the panel."""
+    def save_on(self) -> None:
+        """One more picture of what is being saved."""
+        assert self.saving is not None
+        try:
+            self.message = next(self.saving)
+        except StopIteration:
+            self.saving = None
+            self.desk.say(self.message)
+        except Exception as error:
+            self.saving = None
+            self.complain(error)
+
+    def stop_saving(self) -> None:
+        """Leave what is being saved; a movie that is not whole does not stay."""
+        if self.saving is not None:
+            self.saving.close()  # type: ignore[attr-defined]
+            self.saving, self.message = None, "stopped"
+
+    def pixels(self) -> FloatArray:
+        """The picture without the panel, (H, W, 3) uint8 sRGB, once all of it is known."""
         size, context = self.window.buffer_size, self.window.ctx
-        self.show.operator(self.view, wait=True)
-        if {"truth", "error"} & {self.view.left, self.view.right if self.view.split < 1 else ""}:
-            self.view.playing = False  # what is traced is this pose
-            self.show.truth(self.view, wait=True)
+        self.show.settle(self.view)
         with contextlib.ExitStack() as made:
             texture = context.texture(size, 4)
             made.callback(texture.release)
@@ -248,22 +341,11 @@ class Viewer:
             made.callback(target.release)
             self.show.draw(self.view, size, target)
             data: Any = np.frombuffer(target.read(components=3, alignment=1), dtype=np.uint8)
-        save_png(path, data.reshape(size[1], size[0], 3)[::-1])
-        self.message = f"saved {path}"
-        self.say(self.message)
-
-    def turntable(self) -> None:
-        """Write pictures all around."""
-        start, first = self.view.azimuth, self.name("turn")
-        try:
-            for number in range(TURNTABLE):
-                self.view.azimuth = start + 2.0 * np.pi * number / TURNTABLE
-                self.save(first.with_name(f"{first.stem}_{number:02d}.png"))
-        finally:
-            self.view.azimuth = start
+        return np.ascontiguousarray(data.reshape(size[1], size[0], 3)[::-1])
 
     def release(self) -> None:
         """Give everything back but the window, and the panel's library, which goes with it."""
+        self.stop_saving()
         self.show.release()
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The viewer's panel: clip, look, light, material, milliseconds."""
+"""The viewer's panel: clips, look, light, material, milliseconds, megabytes."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from prtnet.errors import PrtnetError
 from prtnet.merl import Measured
-from runtime.show import MODES
+from runtime.view import MODES
 
 if TYPE_CHECKING:
     from runtime.viewer import Viewer
@@ -17,6 +16,7 @@ __all__ = ["Panel"]
 
 RANGES = {"exponent": (1.0, 200.0), "along": (1.0, 200.0), "across": (1.0, 200.0)}
 """Of parameters that are not between 0 and 1."""
+NONE = "none"
 
 
 class Panel:
@@ -24,99 +24,137 @@ class Panel:
 
     Args:
         viewer: whose.
-        lights, brdfs: names to choose from.
     """
 
-    def __init__(self, viewer: Viewer, lights: list[str], brdfs: list[str]) -> None:
+    def __init__(self, viewer: Viewer) -> None:
         from imgui_bundle import imgui
 
         self.imgui: Any = imgui
-        self.viewer, self.lights, self.brdfs = viewer, lights, brdfs
+        self.viewer = viewer
 
     def draw(self, keys: Sequence[tuple[str, str]]) -> None:
         """The panel, and the keys if there are any to explain."""
-        imgui, viewer, view = self.imgui, self.viewer, self.viewer.view
+        imgui = self.imgui
         imgui.set_next_window_pos((10, 10), imgui.Cond_.first_use_ever)
-        imgui.set_next_window_size((330, 0), imgui.Cond_.first_use_ever)
-        imgui.begin("prtnet")
-        clips = [clip.name for clip in viewer.show.actor.scene.clips]
-        chosen = self.choose("clip", view.clip, clips)
-        if chosen != view.clip:
-            view.clip, view.time = chosen, viewer.show.actor.scene.clip(chosen).start
-        clip = viewer.show.actor.scene.clip(view.clip)
-        always = imgui.SliderFlags_.always_clamp  # typed numbers, too
-        moved, view.time = imgui.slider_float(
-            "time", view.time, clip.start, clip.end, "%.2f s", always
-        )
-        view.playing = view.playing and not moved
-        _, view.playing = imgui.checkbox("play (Space)", view.playing)
+        height = self.viewer.window.size[1]
+        imgui.set_next_window_size_constraints((330, 0), (330, max(100, height - 20)))
+        imgui.begin("prtnet", None, imgui.WindowFlags_.always_auto_resize)
+        self.pose()
         imgui.separator_text("look")
-        view.left = self.choose("shown", view.left, list(MODES))
-        _, view.split = imgui.slider_float("split (C)", view.split, 0.0, 1.0, "%.2f", always)
-        if view.split < 1.0:
-            view.right = self.choose("beside", view.right, list(MODES))
-        _, view.exposure = imgui.slider_float(
-            "exposure", view.exposure, -4.0, 4.0, "%+.1f stops", always
-        )
+        self.look()
         imgui.separator_text("light")
-        self.set_checked("light", self.choose("light", view.light, self.lights))
-        _, view.light_turn = imgui.slider_float(
-            "turn", view.light_turn, 0.0, 360.0, "%.0f deg", always
-        )
-        _, view.lobes = imgui.slider_int(
-            "lobes", view.lobes, 0, 6, "%d" if view.lobes else "exact", always
-        )
+        self.light()
         imgui.separator_text("material")
-        name = view.brdf.partition(":")[0]
-        chosen = self.choose("BRDF", name, self.brdfs)
-        if chosen != name:
-            self.set_checked("brdf", chosen)
-        self.parameters()
-        _, view.factors = imgui.slider_int("factors", view.factors, 1, 16, "%d", always)
-        imgui.separator_text("milliseconds")
-        for stage, spent in viewer.show.milliseconds.items():
-            imgui.text(f"{stage:<8} {spent:8.3f}")
-        sides = (view.left, view.right if view.split < 1.0 else view.left)
-        if "error" in sides and viewer.show.error_top > 0.0:
-            imgui.text(f"yellow: {viewer.show.error_top:.3g} % of an open vertex")
-        if view.playing and {"truth", "error"} & set(sides):
-            imgui.text("stop (Space) to trace the truth")
-        if viewer.show.waiting:
-            imgui.text(viewer.show.waiting)
-        if viewer.message:
-            imgui.text_wrapped(viewer.message)
-        imgui.text_disabled("H: help")
+        self.material()
+        if imgui.collapsing_header("milliseconds", imgui.TreeNodeFlags_.default_open):
+            for stage, spent in self.viewer.show.milliseconds.items():
+                imgui.text(f"{stage:<14} {spent:10.3f}")
+        if imgui.collapsing_header("megabytes"):
+            for what, count in self.viewer.show.memory().items():
+                imgui.text(f"{what:<14} {count / 1e6:10.3f}")
+        self.remarks()
         imgui.end()
         if keys:
-            width, height = viewer.window.size
+            width, height = self.viewer.window.size
             imgui.set_next_window_pos((0.5 * width, 0.5 * height), imgui.Cond_.always, (0.5, 0.5))
             imgui.begin("help", None, imgui.WindowFlags_.always_auto_resize)
             for key, what in keys:
                 imgui.text(f"{key:<12} {what}")
             imgui.end()
 
+    def pose(self) -> None:
+        """Clip and time, and what they are blended with."""
+        imgui, view = self.imgui, self.viewer.view
+        scene = self.viewer.show.actor.scene
+        names = [clip.name for clip in scene.clips]
+        chosen = self.choose("clip", view.clip, names)
+        if chosen != view.clip:
+            view.clip, view.time = chosen, scene.clip(chosen).start
+        moved, view.time = self.time("time", view.clip, view.time)
+        view.playing = view.playing and not moved
+        _, view.playing = imgui.checkbox("play (Space)", view.playing)
+        other = self.choose("blend with", view.blend_clip or NONE, [NONE, *names])
+        other = "" if other == NONE else other
+        if other != view.blend_clip:
+            view.blend_clip = other
+            view.blend_time = scene.clip(other).start if other else 0.0
+            view.blend = view.blend or 0.5
+        if view.blend_clip:
+            moved, view.blend_time = self.time("its time", view.blend_clip, view.blend_time)
+            view.playing = view.playing and not moved
+            view.blend = self.slider("share", view.blend, 0.0, 1.0, "%.2f")
+
+    def look(self) -> None:
+        """What is shown on either side, of how many bands, how bright."""
+        view = self.viewer.view
+        view.left = self.choose("shown", view.left, list(MODES))
+        view.split = self.slider("split (C)", view.split, 0.0, 1.0, "%.2f")
+        if view.split < 1.0:
+            view.right = self.choose("beside", view.right, list(MODES))
+        bands = {0: "all", **{n: str(n) for n in range(1, self.viewer.show.order)}}
+        view.order = self.choose_value("order", view.order, bands)
+        view.exposure = self.slider("exposure", view.exposure, -4.0, 4.0, "%+.1f stops")
+
+    def light(self) -> None:
+        """Which, from where, of how many lobes."""
+        viewer, view = self.viewer, self.viewer.view
+        viewer.change("light", self.choose("light", view.light, viewer.desk.lights))
+        view.light_turn = self.slider("turn", view.light_turn, 0.0, 360.0, "%.0f deg")
+        counts: dict[int | None, str] = {None: "auto", 0: "exact"}
+        counts |= {count: str(count) for count in range(1, 7)}
+        view.lobes = self.choose_value("lobes", view.lobes, counts)
+
+    def material(self) -> None:
+        """Which BRDF, its parameters, of how many factors."""
+        imgui, view = self.imgui, self.viewer.view
+        name = view.brdf.partition(":")[0]
+        chosen = self.choose("BRDF", name, self.viewer.desk.brdfs)
+        if chosen != name:
+            self.viewer.change("brdf", chosen)
+        self.parameters()
+        always = imgui.SliderFlags_.always_clamp
+        _, view.factors = imgui.slider_int("factors", view.factors, 1, 16, "%d", always)
+
+    def remarks(self) -> None:
+        """What there is to know about the picture."""
+        imgui, viewer, view = self.imgui, self.viewer, self.viewer.view
+        if "error" in view.modes and viewer.show.error_top > 0.0:
+            imgui.text(f"yellow: {viewer.show.error_top:.3g} % of an open vertex")
+        if view.playing and {"truth", "visibility", "error"} & set(view.modes):
+            imgui.text("stop (Space) to trace the truth")
+        if view.vertex is not None:
+            kept = "" if viewer.following else ", kept (V)"
+            imgui.text(f"vertex {view.vertex[0]}{kept}")
+        if viewer.show.waiting:
+            imgui.text(viewer.show.waiting)
+        if viewer.message:
+            imgui.text_wrapped(viewer.message)
+        imgui.text_disabled("H: help")
+
+    def time(self, label: str, clip: str, value: float) -> tuple[bool, float]:
+        """A slider of seconds into a clip: whether it was moved, and where it is."""
+        imgui, found = self.imgui, self.viewer.show.actor.scene.clip(clip)
+        always = imgui.SliderFlags_.always_clamp  # typed numbers, too
+        moved, new = imgui.slider_float(label, value, found.start, found.end, "%.2f s", always)
+        return moved, new if moved else value  # imgui rounds what it shows to 32 bits
+
+    def slider(self, label: str, value: float, low: float, high: float, shown: str) -> float:
+        """A number between two others."""
+        always = self.imgui.SliderFlags_.always_clamp
+        moved, new = self.imgui.slider_float(label, value, low, high, shown, always)
+        return float(new) if moved else value
+
+    def choose_value(self, label: str, current: Any, named: dict[Any, str]) -> Any:
+        """A list of values by their names, one of them chosen."""
+        named = named if current in named else {**named, current: str(current)}
+        chosen = self.choose(label, named[current], list(named.values()))
+        return next(value for value, name in named.items() if name == chosen)
+
     def choose(self, label: str, current: Any, names: Sequence[Any]) -> Any:
         """A list of names, one of them chosen; a current one that is not among them stays."""
         shown = list(names) if current in names else [*names, current]
         _, index = self.imgui.combo(label, shown.index(current), [str(name) for name in shown])
         return shown[index]
-
-    def set_checked(self, name: str, value: Any) -> None:
-        """Change the view, unless that cannot be drawn: then say why."""
-        viewer = self.viewer
-        before = getattr(viewer.view, name)
-        if value == before:
-            return
-        setattr(viewer.view, name, value)
-        try:
-            if name == "light":
-                viewer.show.lit(viewer.view)
-            else:
-                viewer.show.brdf(viewer.view)
-            viewer.message = ""
-        except PrtnetError as error:
-            setattr(viewer.view, name, before)
-            viewer.complain(error)
 
     def parameters(self) -> None:
         """A slider for every parameter of the BRDF, colours in three."""
@@ -145,4 +183,4 @@ class Panel:
             parts = value if isinstance(value, tuple) else (value,)
             words.append(f"{field.name}=" + "/".join(f"{part:.6g}" for part in parts))
         if moved:
-            self.set_checked("brdf", f"{view.brdf.partition(':')[0]}:{','.join(words)}")
+            self.viewer.change("brdf", f"{view.brdf.partition(':')[0]}:{','.join(words)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -268,9 +269,22 @@ def test_render_of_a_material_beside_its_truth(work: Path, tmp_path: Path, rende
         ("--brdf", "gild", "did you mean 'gold'"),
         ("--brdf", "ggx:roughness=7", "at most 1"),
         ("--light", "moon", "neither a file nor a preset"),
-        ("--lobes", "0", "at least 1"),
+        ("--lobes", "-1", "at least 0"),
         ("--lobes", "12", "at most 11"),
         ("--factors", "99", "64"),
+        ("--order", "0", "at least 1"),
+        ("--order", "9", "has 4 bands"),
+        ("--vertex", "99999", "counted from 0"),
+        ("--vertex", "-1", "at least 0"),
+        ("--blend", "bend", "CLIP:SECONDS:SHARE"),
+        ("--blend", "bend:1:2", "from 0 to 1"),
+        ("--blend", "bend:9:0.5", "0 to 4 s"),
+        ("--blend", "bnd:1:0.5", "has no clip"),
+        ("--split", "1.5", "at most 1"),
+        ("--elevation", "90", "89"),
+        ("--zoom", "0", "at least 0.1"),
+        ("--fps", "0", "at least 1"),
+        ("--show", "shadow", "prediction"),
     ],
 )
 def test_looks_that_there_are_none_of(
@@ -309,6 +323,51 @@ def test_pictures_all_around(work: Path, tmp_path: Path) -> None:
     assert names == [f"turn_{number:02d}.png" for number in range(11)]
     pictures = [np.asarray(Image.open(tmp_path / name)) for name in names]
     assert not np.array_equal(pictures[0], pictures[5])
+
+
+def test_a_picture_of_everything_a_viewer_shows(work: Path, tmp_path: Path) -> None:
+    scene = work / "arm.safetensors", work / "arm.glb"
+    options = ("--size", "80x60", "--renderer", "cpu", "--rays", "32", "--quiet", "--time", "2")
+    options += ("--brdf", "phong:exponent=9")
+    looks: dict[str, tuple[str, ...]] = {
+        mode: ("--show", mode)
+        for mode in ("prediction", "truth", "visibility", "open", "ambient", "error")
+    }
+    looks |= {
+        "blend": ("--blend", "bend:0:0.5"),
+        "order": ("--order", "1"),
+        "vertex": ("--vertex", "30"),
+        "traced": ("--vertex", "30", "--show", "visibility"),
+        "camera": ("--azimuth", "120", "--elevation", "40"),
+        "zoom": ("--zoom", "1.5"),
+        "exposure": ("--exposure", "-2"),
+        "split": ("--beside", "error", "--split", "0.25"),
+    }
+    pictures = {}
+    for name, look in looks.items():
+        prtnet("render", *scene, "--out", tmp_path / f"{name}.png", *look, *options)
+        pictures[name] = np.asarray(Image.open(tmp_path / f"{name}.png")).astype(int)
+        assert pictures[name].shape == (60, 80, 3)
+    for one, other in itertools.combinations(pictures, 2):
+        assert np.abs(pictures[one] - pictures[other]).max() > 8, (one, other)
+    assert np.array_equal(pictures["split"][:, :20], pictures["prediction"][:, :20])
+    assert np.array_equal(pictures["split"][:, 20:], pictures["error"][:, 20:])
+
+
+def test_movies_play_the_clip_or_turn(work: Path, tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    scene = work / "arm.safetensors", work / "arm.glb"
+    options = ("--size", "41x30", "--renderer", "cpu", "--quiet", "--fps", "2")
+    report = tmp_path / "clip.json"
+    prtnet("render", *scene, "--out", tmp_path / "clip.mp4", *options, "--json", report)
+    assert json.loads(report.read_text())["pictures"] == 9  # four seconds, both ends
+    prtnet("render", *scene, "--out", tmp_path / "turn.mp4", *options, "--spin", "5")
+    for name, count in (("clip", 9), ("turn", 5)):
+        with av.open(str(tmp_path / f"{name}.mp4")) as file:
+            frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+        assert len(frames) == count
+        assert frames[0].shape == (30, 42, 3)
+        assert np.abs(frames[0].astype(int) - frames[2]).max() > 30
 
 
 @pytest.mark.parametrize("name", ["arm.glb", "arm.zarr", "arm.safetensors"])
@@ -435,6 +494,21 @@ BAD: list[tuple[Sequence[str], str]] = [
     (("info", "arm.glb", "--json", "arm.glb"), "is named twice"),
     (("render", "arm.safetensors", "arm.glb", "--out", "x.png", "--time", "nan"), "0 to 4 s"),
     (("render", "arm.safetensors", "arm.glb", "--out", "x.jpg"), "end it in .png"),
+    (("render", "arm.safetensors", "arm.glb", "--out", "x.mp4", "--time", "1"), "add --spin"),
+    (
+        (
+            "render",
+            "arm.safetensors",
+            "arm.glb",
+            "--out",
+            "x.png",
+            "--compare",
+            "truth",
+            "--show",
+            "open",
+        ),
+        "leave out --show",
+    ),
     (
         (
             "render",

@@ -53,7 +53,7 @@ def test_colours_of_receivers_are_on_their_vertices(two_sided: bool) -> None:
     # A receiver's colour is where it is, its blue which side that is of.
     places = actor.geometry(pose).positions[0].copy()
     places[:, 2] = actor.receivers.side
-    surface = coloured_surface(actor, pose, places)
+    surface = coloured_surface(actor, scene.geometry(pose).positions[0], places)
     positions = scene.geometry(pose).positions[0]
     assert surface.transfer[:, :2] == pytest.approx(positions[:, :2], abs=1e-6)
     assert (surface.transfer[:, 2] == 1).all()

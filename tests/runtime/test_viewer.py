@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,15 +19,22 @@ from PIL import Image
 from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm
 from prtnet.cli_options import ViewOptions
-from prtnet.cli_view import opened_viewer
+from prtnet.cli_view import cast_of, opened_viewer
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
 from prtnet.gpu_tables import gpu_tables
+from prtnet.modelled_scene import Moment
+from runtime import recording
+from runtime.cast import Cast
 from runtime.draw import opened, render_material
-from runtime.picture import develop
+from runtime.dropped import take_files
+from runtime.pick import projected
+from runtime.picture import develop, laid_over
 from runtime.posed_surface import posed_subject
-from runtime.show import MODES, Show, View
-from runtime.viewer import Viewer, open_window
+from runtime.show import Show
+from runtime.stage import Stage
+from runtime.view import MODES, View
+from runtime.viewer import Desk, Viewer, open_window
 from tests.models import random_model
 from tests.priors import random_prior
 from tests.runtime.test_posed_surface import modelled
@@ -38,7 +47,7 @@ pytestmark = [
 SIZE = (160, 120)
 
 
-def shown(context, actor=None) -> Show:
+def cast(actor=None) -> Cast:
     actor = actor or modelled(arm(segments=6), two_sided=False)
     truth = np.zeros((len(actor.receivers), actor.model.order**2), dtype=np.float32)
     truth[:, 0] = np.sqrt(4 * np.pi)
@@ -49,7 +58,12 @@ def shown(context, actor=None) -> Show:
         used = np.arange(found.shape[2]) < actor.model.latents[:, None]
         return found[:, used] * tables.latent_scale
 
-    return Show(context, actor, actor.model, lambda _: truth, environment, (latents, tables))
+    def radiance(pose, eye, light, brdf) -> np.ndarray:
+        """The part of the light that comes straight from above, and where the eye is."""
+        up = light.radiance(np.array([[0.0, 1.0, 0.0]]))
+        return np.repeat(up + 0.1 * np.abs(eye), len(truth), axis=0).astype(np.float32)
+
+    return Cast(actor, actor.model, lambda _: truth, radiance, (latents, tables), 12345)
 
 
 @pytest.fixture(scope="module")
@@ -67,8 +81,9 @@ def viewer(window: Any, tmp_path: Path) -> Iterator[Viewer]:
     window._window.set_size(*SIZE)
     window._window.dispatch_events()
     view = View("bend", brdf="phong")
-    found = Viewer(window, shown(window.ctx), view, ["studio", "sky"], ["matte", "gold"],
-                   tmp_path, lambda _: None)  # fmt: skip
+    desk = Desk(["studio", "sky"], ["matte", "gold"], tmp_path, lambda _: None,
+                lambda *_: cast(), Path("a.safetensors"), Path("a.glb"))  # fmt: skip
+    found = Viewer(window, Show(window.ctx, cast(), environment), view, desk)
     found.view.playing = False
     found.first.playing = False
     yield found
@@ -103,9 +118,8 @@ def drag(viewer: Viewer, button: str, right: int, up: int) -> None:
         send(viewer, kind, 150, 10, *rest)
 
 
-def read(viewer: Viewer, path: Path) -> np.ndarray:
-    viewer.save(path)
-    return np.asarray(Image.open(path)).astype(int)
+def read(viewer: Viewer) -> np.ndarray:
+    return viewer.pixels().astype(int)
 
 
 def test_it_plays_until_it_is_told_to_stop(viewer):
@@ -119,7 +133,7 @@ def test_it_plays_until_it_is_told_to_stop(viewer):
     press(viewer, "RIGHT")
     assert viewer.view.time == pytest.approx(0.3 + 1 / 30)
     clip = viewer.show.actor.scene.clip("bend")
-    viewer.advance(clip.end - clip.start)  # around
+    viewer.view.advance(viewer.show.actor, clip.end - clip.start)  # around
     assert viewer.view.time == pytest.approx(0.3 + 1 / 30)
 
 
@@ -128,7 +142,7 @@ def test_the_window_shows_what_is_drawn_without_one(viewer, tmp_path):
     show.screen.samples = 0  # one, in the middle of a pixel
     show.operator(view, wait=True)
     viewer.step(0.0)
-    seen = read(viewer, tmp_path / "seen.png")
+    seen = read(viewer)
     assert seen.shape == (SIZE[1], SIZE[0], 3)
     assert np.ptp(seen) > 60
     pose, predicted = show.pose(view), show.predicted(view)
@@ -144,21 +158,21 @@ def test_the_window_shows_what_is_drawn_without_one(viewer, tmp_path):
 
 def test_light_material_and_camera_change_the_picture(viewer, tmp_path):
     viewer.step(0.0)
-    pictures = [read(viewer, tmp_path / "0.png")]
+    pictures = [read(viewer)]
     view = viewer.view
     before = view.azimuth, view.light_turn, view.distance
     drag(viewer, "RIGHT", 120, 0)
     assert view.light_turn == pytest.approx(60.0)
-    pictures.append(read(viewer, tmp_path / "1.png"))
+    pictures.append(read(viewer))
     drag(viewer, "LEFT", 100, 40)
     assert view.azimuth != before[0]
-    pictures.append(read(viewer, tmp_path / "2.png"))
-    viewer.panel.set_checked("brdf", "gold")
+    pictures.append(read(viewer))
+    viewer.change("brdf", "gold")
     viewer.show.operator(view, wait=True)
-    pictures.append(read(viewer, tmp_path / "3.png"))
+    pictures.append(read(viewer))
     send(viewer, "on_mouse_scroll", 150, 10, 0, 3)
     assert view.distance < before[2]
-    pictures.append(read(viewer, tmp_path / "4.png"))
+    pictures.append(read(viewer))
     for one, other in itertools.pairwise(pictures):
         assert np.abs(one - other).max() > 20
     press(viewer, "R")
@@ -172,18 +186,18 @@ def test_every_mode_shows_something_of_its_own(viewer, tmp_path):
     for number, mode in enumerate(MODES, start=1):
         press(viewer, f"_{number}")
         assert viewer.view.left == mode
-        pictures.append(read(viewer, tmp_path / f"{mode}.png"))
+        pictures.append(read(viewer))
     for a in range(len(MODES)):
         for b in range(a):
             # The truth here is open everywhere.
-            same = {MODES[a], MODES[b]} == {"truth", "open"}
+            same = {MODES[a], MODES[b]} == {"visibility", "open"}
             assert np.array_equal(pictures[a], pictures[b]) == same
     press(viewer, "_1", "C")
     viewer.view.right = "error"
-    split = read(viewer, tmp_path / "split.png")
+    split = read(viewer)
     half = SIZE[0] // 2
     assert np.array_equal(split[:, :half], pictures[0][:, :half])
-    assert np.array_equal(split[:, half:], pictures[4][:, half:])
+    assert np.array_equal(split[:, half:], pictures[5][:, half:])
 
 
 def test_the_panel_draws_and_explains_the_keys(viewer):
@@ -208,14 +222,14 @@ def test_what_cannot_be_shown_is_said_and_left_as_it_was(viewer, tmp_path):
     (tmp_path / "dark.hdr").write_bytes(b"#?RADIANCE\n")
     viewer.dropped(0, 0, [tmp_path / "dark.hdr"])
     assert "dark.hdr" in viewer.message
-    viewer.panel.set_checked("light", "moon")
+    viewer.change("light", "moon")
     assert viewer.view.light == "studio"
     viewer.step(0.0)
 
 
 def test_a_frame_that_cannot_be_drawn_is_told_and_taken_back(viewer, tmp_path):
     viewer.step(0.0)
-    changes = {"brdf": "gild", "light": "moon", "factors": 0, "lobes": 99, "time": 99.0}
+    changes = {"brdf": "gild", "light": "moon", "factors": 0, "lobes": 12, "time": 99.0}
     for name, value in changes.items():
         before = vars(viewer.view).copy()
         setattr(viewer.view, name, value)
@@ -231,9 +245,9 @@ def test_a_frame_that_cannot_be_drawn_is_told_and_taken_back(viewer, tmp_path):
     def broken(_pose: np.ndarray) -> np.ndarray:
         raise RuntimeError("no rays today")
 
-    viewer.show.trace = broken
+    viewer.show.cast = dataclasses.replace(viewer.show.cast, trace=broken)
     viewer.message = ""
-    viewer.view.left = "truth"
+    viewer.view.left = "visibility"
     for _ in range(40):
         viewer.step(0.0)
         if viewer.message:
@@ -243,24 +257,161 @@ def test_a_frame_that_cannot_be_drawn_is_told_and_taken_back(viewer, tmp_path):
     assert viewer.view.left == "prediction"
 
 
+def save(viewer: Viewer, name: str) -> None:
+    """Press a key that saves and go on until it is done."""
+    press(viewer, name)
+    viewer.step(0.0)
+    while viewer.saving is not None:
+        viewer.step(0.0)
+
+
 def test_pictures_that_cannot_be_saved_are_told(viewer, tmp_path):
     viewer.step(0.0)
-    viewer.out = tmp_path / "none"
-    press(viewer, "S", "T")
-    assert "none" in viewer.message
+    viewer.desk.out = tmp_path / "none"
+    for name in "STMP":
+        viewer.message = ""
+        save(viewer, name)
+        assert "none" in viewer.message
     assert not list(tmp_path.iterdir())
 
 
-def test_truth_is_not_shown_before_it_is_known(viewer, tmp_path):
+@pytest.mark.parametrize("mode", ["visibility", "truth"])
+def test_truth_is_not_shown_before_it_is_known(viewer, mode):
     viewer.step(0.0)
-    viewer.view.playing, viewer.view.left = True, "truth"
+    viewer.view.playing, viewer.view.left = True, mode
     viewer.step(0.0)
     viewer.show.screen.clear(SIZE)
     viewer.picture()
     assert not viewer.show.screen.linear()[..., 3].any()  # nothing rather than the prediction
-    read(viewer, tmp_path / "stopped.png")
+    save(viewer, "S")
     assert viewer.show.screen.linear()[..., 3].any()
     assert not viewer.view.playing
+
+
+def test_the_truth_has_the_material_the_light_and_the_eye(viewer):
+    view, show = viewer.view, viewer.show
+    asked = []
+
+    def radiance(pose, eye, light, brdf) -> np.ndarray:
+        asked.append((tuple(eye), light.radiance(np.eye(3)).tobytes(), brdf))
+        return np.full((len(show.actor.receivers), 3), 0.1 * len(asked), dtype=np.float32)
+
+    show.cast = dataclasses.replace(show.cast, radiance=radiance)
+    view.left = "truth"
+    pictures = [read(viewer)]
+    for change in ({"azimuth": 1.0}, {"light_turn": 90.0}, {"brdf": "gold"}, {"light": "sky"}):
+        vars(view).update(change)
+        pictures.append(read(viewer))
+    assert len(set(asked)) == len(pictures)
+    view.light = "studio"
+    read(viewer)
+    view.brdf = "matte"
+    before = read(viewer), len(asked)
+    view.azimuth = 2.0
+    viewer.step(0.0)
+    assert len(asked) == before[1]  # a diffuse surface looks alike from everywhere
+
+
+def test_a_camera_that_moves_sees_the_last_truth_until_it_has_its_own(viewer):
+    show, view, gate = viewer.show, viewer.view, threading.Event()
+    gate.set()
+
+    def radiance(*_: Any) -> np.ndarray:
+        gate.wait()
+        return np.ones((len(show.actor.receivers), 3), dtype=np.float32)
+
+    show.cast = dataclasses.replace(show.cast, radiance=radiance)
+    view.left = "truth"
+    read(viewer)
+    gate.clear()
+    try:
+        view.azimuth += 0.1
+        viewer.step(0.0)
+        assert show.waiting == "tracing the truth"
+        assert show.screen.linear()[..., 3].any()
+        view.light_turn = 50.0  # that is not what was traced
+        viewer.step(0.0)
+        assert not show.screen.linear()[..., 3].any()
+    finally:
+        gate.set()
+
+
+def test_fewer_bands_are_those_of_a_smaller_model(viewer):
+    view, show = viewer.view, viewer.show
+    view.left = "prediction"
+    whole = read(viewer)
+    view.order = 2
+    few = read(viewer)
+    assert np.abs(whole - few).max() > 10
+    assert not show.lit(view).coefficients[..., 2:].any()
+    kept = show._visibility("prediction", view)
+    assert np.array_equal(kept[:, :4], show.predicted(view)[:, :4])
+    assert not kept[:, 4:].any()
+    view.order = show.order
+    assert np.abs(whole - read(viewer)).max() == 0
+
+
+def test_poses_are_blended_and_both_clips_go_on(viewer):
+    view, show = viewer.view, viewer.show
+    alone = show.pose(view)
+    view.blend_clip, view.blend_time, view.blend = "bend", 2.0, 0.5
+    assert np.array_equal(
+        show.pose(view), show.actor.blended(Moment("bend", 0.0), Moment("bend", 2.0), 0.5)
+    )
+    assert not np.array_equal(show.pose(view), alone)
+    view.playing = True
+    viewer.step(0.5)
+    assert (view.time, view.blend_time) == (pytest.approx(0.5), pytest.approx(2.5))
+    view.blend = 0.0
+    assert np.array_equal(show.pose(view), show.actor.poses("bend", np.array([view.time])))
+
+
+def test_the_vertex_under_the_mouse_shows_what_it_sees(viewer):
+    """As laid over the picture in NumPy; with the traced visibility beside it once it is known."""
+    show, view, size = viewer.show, viewer.view, (900, 300)
+    viewer.window._window.set_size(*size)  # the panel covers all of a small one
+    send(viewer, "on_resize", *size)
+    plain = read(viewer).astype(np.uint8)
+    subject, matrix = show.subject(view), show.camera(view).matrix(size[0] / size[1])
+    places = projected(subject.positions, matrix, size)
+    nearest = places[:, 2].argmin()
+    x, y = places[nearest, :2].astype(int)
+    send(viewer, "on_mouse_motion", x, size[1] - y, 0, 0)
+    for _ in range(3):  # imgui knows a frame later where the mouse is
+        viewer.step(0.0)
+    assert view.vertex is not None
+    assert np.hypot(*(places[view.vertex[0], :2] - places[nearest, :2])) < 12
+    shown = show.insets(view, size)
+    expected = plain
+    for inset, place in shown:
+        expected = laid_over(expected, inset, place)
+    seen = read(viewer)
+    assert np.abs(seen - expected.astype(int)).max() <= 1
+    assert np.abs(seen - plain).max() > 50
+    width = shown[1][0].shape[1]
+    show.truth(view, wait=True)
+    assert show.insets(view, size)[1][0].shape[1] > 1.5 * width
+    press(viewer, "V")
+    kept = view.vertex
+    send(viewer, "on_mouse_motion", 890, 10, 0, 0)
+    viewer.step(0.0)
+    assert view.vertex == kept
+    press(viewer, "V")
+    viewer.step(0.0)
+    assert view.vertex is None
+
+
+def test_memory_is_told_by_what_takes_it(viewer):
+    viewer.view.left = "visibility"
+    viewer.show.truth(viewer.view, wait=True)
+    viewer.step(0.0)
+    memory = viewer.show.memory()
+    assert memory["model file"] == 12345
+    assert memory["process"] > 20e6
+    vertices = len(viewer.show.subject(viewer.view).positions)
+    assert memory["GPU visibility"] >= 4 * vertices * (3 + 6 + viewer.show.order**2)
+    samples = max(1, viewer.show.screen.samples)
+    assert memory["GPU picture"] == SIZE[0] * SIZE[1] * (samples * (8 + 4) + 8)
 
 
 @pytest.mark.parametrize("kind", ["neural", "constant", "hybrid", "two-sided"])
@@ -283,11 +434,11 @@ def test_the_command_opens_what_it_is_given(window, tmp_path, monkeypatch, kind)
     options = ViewOptions(*files, out=tmp_path, rays=16, threads=1, brdf="phong")
     found = opened_viewer(options, 1, lambda _: None)
     found.step(0.01)
-    assert (found.show.latents is None) == (kind == "constant")
-    assert (found.show.occluders is None) == (kind != "hybrid")
+    assert (found.show.cast.latents is None) == (kind == "constant")
+    assert (found.show.cast.occluders is None) == (kind != "hybrid")
     found.view.playing = False
     found.view.left, found.view.right, found.view.split = "prediction", "truth", 0.5
-    picture = read(found, tmp_path / "seen.png")
+    picture = read(found)
     assert np.ptp(picture) > 60
     found.release()
     with pytest.raises(PrtnetError, match="is no folder"):
@@ -297,12 +448,135 @@ def test_the_command_opens_what_it_is_given(window, tmp_path, monkeypatch, kind)
 
 
 def test_a_turntable_is_a_row_of_pictures(viewer, tmp_path, monkeypatch):
-    monkeypatch.setattr("runtime.viewer.TURNTABLE", 3)
+    monkeypatch.setattr(recording, "TURNTABLE", 3)
     viewer.step(0.0)
-    press(viewer, "T")
-    press(viewer, "T")  # beside the first, not over it
+    start = viewer.view.azimuth
+    save(viewer, "T")
+    save(viewer, "T")  # beside the first, not over it
     files = sorted(path.name for path in tmp_path.glob("turn_*.png"))
     assert files == [f"turn_{k:03d}_{number:02d}.png" for k in range(2) for number in range(3)]
+    assert viewer.view.azimuth == start
+    pictures = [np.asarray(Image.open(tmp_path / name)).astype(int) for name in files[:2]]
+    assert np.abs(pictures[0] - read(viewer)).max() == 0
+    assert np.abs(pictures[1] - pictures[0]).max() > 20
+
+
+def test_movies_of_a_turntable_and_of_the_clip(viewer, tmp_path, monkeypatch):
+    av = pytest.importorskip("av")
+    monkeypatch.setattr(recording, "MOVIE_TURN", 4)
+    monkeypatch.setattr(recording, "FPS", 2)
+    viewer.step(0.0)
+    viewer.view.time = 1.25
+    save(viewer, "M")
+    save(viewer, "P")
+    assert viewer.view.time == 1.25
+    counts = {}
+    for name in ("turn_000.mp4", "clip_000.mp4"):
+        with av.open(str(tmp_path / name)) as file:
+            frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+        counts[name] = len(frames)
+        assert frames[0].shape == (SIZE[1], SIZE[0], 3)
+        assert np.abs(frames[1].astype(int) - frames[0]).max() > 20
+    assert counts == {"turn_000.mp4": 4, "clip_000.mp4": 9}  # four seconds, both ends
+
+
+def test_escape_stops_what_is_saved_and_then_leaves(viewer, tmp_path):
+    viewer.step(0.0)
+    start = viewer.view.azimuth
+    press(viewer, "M")
+    for _ in range(3):
+        viewer.step(0.0)
+    assert viewer.saving is not None
+    press(viewer, "ESCAPE")
+    assert viewer.saving is None
+    assert viewer.view.azimuth == start
+    assert not viewer.window.is_closing
+    assert not list(tmp_path.iterdir())  # no half of a movie
+    closed = []
+    viewer.window.close = lambda: closed.append(True)
+    try:
+        press(viewer, "ESCAPE")
+    finally:
+        del viewer.window.close
+    assert closed
+
+
+def test_files_that_fall_on_the_window_are_shown(viewer, window, tmp_path):
+    actor = modelled(arm(segments=6), False)
+    actor.model.save(tmp_path / "arm.safetensors")
+    write_glb(arm(segments=6), tmp_path / "arm.glb")
+    other = modelled(arm(segments=9), False)
+    other.model.save(tmp_path / "long.safetensors")
+    write_glb(arm(segments=9), tmp_path / "long.glb")
+    viewer.desk.model, viewer.desk.scene = tmp_path / "arm.safetensors", tmp_path / "arm.glb"
+    viewer.desk.open_files = functools.partial(cast_of, rays=16, threads=1)
+    viewer.view.light_turn = 33.0
+    viewer.step(0.0)
+    shown = viewer.show
+
+    def drop(*names: str) -> None:
+        send(viewer, "on_file_drop", 10, 10, [str(tmp_path / name) for name in names])
+        viewer.step(0.0)
+
+    (tmp_path / "bad.safetensors").write_bytes(b"no model")
+    (tmp_path / "bad.glb").write_bytes(b"no scene")
+    (tmp_path / "notes.txt").write_text("no picture")
+    for name in ("bad.safetensors", "bad.glb", "none.glb", "notes.txt", "none.hdr"):
+        drop(name)
+        assert name in viewer.message
+        assert viewer.show is shown
+    drop("long.safetensors")  # its scene is missing yet
+    assert "drop its scene" in viewer.message
+    assert viewer.show is shown
+    drop("long.glb")
+    assert viewer.message == "long.safetensors on long.glb"
+    assert viewer.show.actor.model.receiver_count == other.model.receiver_count
+    assert viewer.view.light_turn == 33.0
+    drop("arm.glb", "arm.safetensors")
+    assert viewer.show.actor.model.receiver_count == actor.model.receiver_count
+    assert np.ptp(read(viewer)) > 60
+
+
+def test_a_character_that_cannot_be_drawn_gives_back_what_it_took(viewer, monkeypatch):
+    released, shown = [], viewer.show
+
+    def broken(*_: Any) -> None:
+        raise PrtnetError("model", "is too large for a texture here")
+
+    monkeypatch.setattr("runtime.show.Overlay", broken)
+    real = Stage.release
+    monkeypatch.setattr(Stage, "release", lambda self: (released.append(self), real(self)))
+    take_files(viewer, ["any.safetensors"])
+    assert "too large" in viewer.message
+    assert viewer.show is shown
+    assert len(released) == 1
+
+
+def test_a_window_is_closed_where_nothing_can_be_shown(window, tmp_path, monkeypatch):
+    actor = modelled(arm(segments=6), False)
+    actor.model.save(tmp_path / "arm.safetensors")
+    write_glb(arm(segments=6), tmp_path / "arm.glb")
+    closed = []
+
+    class Fake:
+        ctx = window.ctx
+
+        def close(self) -> None:
+            closed.append("closed")
+
+        def destroy(self) -> None:
+            closed.append("destroyed")
+
+    def broken(*_: Any) -> None:
+        raise PrtnetError("model", "is too large for a texture here")
+
+    window.use()
+    monkeypatch.setattr("runtime.viewer.open_window", lambda *_: Fake())
+    monkeypatch.setattr("runtime.show.Screen", broken)
+    options = ViewOptions(tmp_path / "arm.safetensors", tmp_path / "arm.glb", out=tmp_path)
+    with pytest.raises(PrtnetError, match="too large"):
+        opened_viewer(options, 1, lambda _: None)
+    assert closed == ["closed", "destroyed"]
 
 
 def test_no_display_is_told(monkeypatch):

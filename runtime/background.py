@@ -1,0 +1,45 @@
+"""What takes longer than a frame is made in a thread of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Generic, TypeVar
+
+__all__ = ["Background"]
+
+T = TypeVar("T")
+
+
+class Background(Generic[T]):
+    """The last thing asked for, made in a thread of its own; one at a time."""
+
+    def __init__(self) -> None:
+        self.worker = ThreadPoolExecutor(1)
+        self.key: Any = None
+        self.future: Future[T] | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being made."""
+        return self.future is not None and not self.future.done()
+
+    def get(self, key: Any, make: Callable[[], T], wait: bool = False) -> T | None:
+        """What is asked for; None while it is being made, or something else still is."""
+        if wait and self.future is not None and self.key != key:
+            self.future.exception()  # done with, whatever came of it
+        if self.key != key and not self.busy:
+            self.key, self.future = key, self.worker.submit(make)
+        ready = self.future is not None and self.key == key and (wait or self.future.done())
+        return self.future.result() if ready and self.future is not None else None
+
+    def known(self, key: Any) -> T | None:
+        """What was asked for under this key if it is there; nothing is begun."""
+        done = self.future is not None and self.key == key and self.future.done()
+        if not done or self.future is None or self.future.exception() is not None:
+            return None
+        return self.future.result()
+
+    def release(self) -> None:
+        """Begin nothing more; what is being made is waited for."""
+        self.worker.shutdown(cancel_futures=True)

@@ -1,0 +1,38 @@
+"""How much memory things take: on the GPU by what was asked of it, in the process by the system."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import moderngl
+
+__all__ = ["gpu_bytes", "resident_bytes"]
+
+DEPTH_BYTES = 4  # a sample; drivers round 24 bits up
+
+
+def gpu_bytes(held: Iterable[Any]) -> int:
+    """Bytes of buffers, textures and renderbuffers; other things of OpenGL count as none."""
+    return sum(map(bytes_of, held))
+
+
+def bytes_of(thing: Any) -> int:
+    """Bytes of one; what a driver pads them to it does not tell."""
+    if isinstance(thing, moderngl.Buffer):
+        return int(thing.size)
+    if isinstance(thing, moderngl.Texture | moderngl.Renderbuffer):
+        texel = DEPTH_BYTES if thing.depth else thing.components * int(thing.dtype[-1])
+        return int(thing.width * thing.height * max(1, thing.samples) * texel)
+    return 0
+
+
+def resident_bytes() -> int | None:
+    """Memory that this process has in use; None where the system does not say (``/proc``)."""
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        line = next(line for line in lines if line.startswith("VmRSS:"))
+    except (OSError, StopIteration):
+        return None
+    return 1024 * int(line.split()[1])

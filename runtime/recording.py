@@ -1,0 +1,90 @@
+"""What a viewer saves: a picture, a turntable as pictures or a movie, a movie of the clip.
+
+Each is made a picture a step, so that the window goes on answering; the view is then as it was.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from runtime.movie import movie
+from runtime.picture import save_png
+
+if TYPE_CHECKING:
+    from runtime.viewer import Viewer
+
+__all__ = ["clip_movie", "free_name", "picture", "turntable", "turntable_movie"]
+
+TURNTABLE = 36  # pictures
+MOVIE_TURN = 120  # pictures of a movie around: four seconds
+FPS = 30
+
+
+def free_name(folder: Path, kind: str, suffix: str) -> Path:
+    """A file that is not there yet, nor any that begins like it."""
+    number = 0
+    while any(folder.glob(f"{kind}_{number:03d}*{suffix}")):
+        number += 1
+    return folder / f"{kind}_{number:03d}{suffix}"
+
+
+def picture(viewer: Viewer) -> Iterator[str]:
+    """One picture of the view as it is."""
+    path = free_name(viewer.desk.out, "picture", ".png")
+    save_png(path, viewer.pixels())
+    yield f"saved {path}"
+
+
+def turns(viewer: Viewer, count: int) -> Iterator[int]:
+    """The view from all around, a step at a time; it is then where it was."""
+    start = viewer.view.azimuth
+    try:
+        for number in range(count):
+            viewer.view.azimuth = (start + 2.0 * math.pi * number / count) % (2.0 * math.pi)
+            yield number
+    finally:
+        viewer.view.azimuth = start
+
+
+def turntable(viewer: Viewer) -> Iterator[str]:
+    """Pictures from all around."""
+    first = free_name(viewer.desk.out, "turn", ".png")
+    for number in turns(viewer, TURNTABLE):
+        path = first.with_name(f"{first.stem}_{number:02d}.png")
+        save_png(path, viewer.pixels())
+        yield f"saved {path}"
+
+
+def turntable_movie(viewer: Viewer) -> Iterator[str]:
+    """The same as a movie."""
+    path = free_name(viewer.desk.out, "turn", ".mp4")
+    with movie(path, FPS) as add:
+        for number in turns(viewer, MOVIE_TURN):
+            add(viewer.pixels())
+            yield f"{number + 1} of {MOVIE_TURN} pictures (Esc: stop)"
+    yield f"saved {path}"
+
+
+def clip_movie(viewer: Viewer) -> Iterator[str]:
+    """The clip from its start to its end; what it is blended with goes on, too."""
+    path = free_name(viewer.desk.out, "clip", ".mp4")
+    view, actor = viewer.view, viewer.show.actor
+    kept = view.time, view.blend_time
+    clip = actor.scene.clip(view.clip)
+    steps = np.diff(clip.times(FPS), prepend=clip.start).tolist()
+    view.time = clip.start
+    try:
+        with movie(path, FPS) as add:
+            for number, step in enumerate(steps):
+                view.time = min(view.time + step, clip.end)
+                view.advance_blend(actor, step)
+                add(viewer.pixels())
+                yield f"{number + 1} of {len(steps)} pictures (Esc: stop)"
+        yield f"saved {path}"
+    finally:
+        view.time, view.blend_time = kept
