@@ -6,6 +6,7 @@ This module and ``cli_render``, ``cli_report``, ``cli_train``, ``cli_view`` may 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import os
@@ -379,8 +380,17 @@ def view(argv: Sequence[str]) -> None:
     input_file(options.scene)
 
     from prtnet.cli_view import opened_viewer
+    from runtime.closed_display import on_closed_display
 
     viewer = opened_viewer(options, threads(options.threads), session.console.message)
+
+    def leave() -> None:
+        with contextlib.suppress(Exception):  # it may be in the middle of it
+            viewer.stop_saving()
+        told = "display: was closed under the window; start again on one that lasts"
+        os._exit(fail(told, 2, False))  # Xlib lets nobody go on
+
+    on_closed_display(leave)
     try:
         viewer.run()
     finally:

@@ -91,8 +91,8 @@ def open_window(title: str, size: tuple[int, int], visible: bool = True) -> Any:
     except Exception as error:  # every platform has errors of its own
         reason = " ".join(str(error).split()) or type(error).__name__
         raise PrtnetError(
-            "prtnet view", f"cannot open a window ({reason}); use prtnet render, or give it a "
-            "display (xvfb-run)"
+            "prtnet view", f"cannot open a window with OpenGL ({reason}); use prtnet render, which "
+            "needs neither, or give it a display (xvfb-run)"
         ) from error  # fmt: skip
 
 

@@ -586,7 +586,7 @@ def test_no_display_is_told(monkeypatch):
         raise RuntimeError('Cannot connect to "None"')
 
     monkeypatch.setattr(moderngl_window, "get_local_window_cls", broken)
-    with pytest.raises(PrtnetError, match=r"cannot open a window .*prtnet render"):
+    with pytest.raises(PrtnetError, match=r"cannot open a window .*which needs neither"):
         open_window("test", SIZE)
 
 

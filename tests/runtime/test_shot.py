@@ -1,0 +1,94 @@
+"""A picture without a window is the one that a window would show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data_gen.procedural import arm
+from prtnet.cli_render import tracers
+from prtnet.environment import environment
+from prtnet.materials import brdf_named, material
+from prtnet.modelled_scene import ModelledScene
+from runtime.cast import Cast
+from runtime.draw import opened
+from runtime.gl import create_context
+from runtime.looks import cut_lobes, lobes_of
+from runtime.shot import Posed, Shot
+from runtime.show import Show
+from runtime.view import MODES, View
+from tests.runtime.test_posed_surface import modelled
+
+SIZE = (120, 90)
+RAYS = 32
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["one-sided", "two-sided"])
+def actor(request: pytest.FixtureRequest) -> ModelledScene:
+    return modelled(arm(segments=6), request.param)
+
+
+def shot_of(actor: ModelledScene, view: View, show: Show) -> Shot:
+    """What ``prtnet render`` makes of the same options, from where the viewer's camera is."""
+    order = actor.model.order
+    light, brdf = environment(view.light).turned(view.light_turn), brdf_named(view.brdf)
+    return Shot(
+        Posed(actor, view.pose(actor), *tracers(actor, RAYS, 1)), show.camera(view), light,
+        cut_lobes(lobes_of(light.harmonics(order), view.lobes), view.order), brdf,
+        material(brdf, view.factors, order), SIZE, view.order,
+    )  # fmt: skip
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("mode", MODES)
+def test_both_draw_every_mode_alike(actor, mode):
+    """A sample in the middle of every pixel, but for edges: the window's are smoothed otherwise."""
+    view = View("bend", 1.5, "bend", 3.0, 0.4, light_turn=70.0, lobes=0, brdf="phong", left=mode,
+                order=2)  # fmt: skip
+    context = create_context()
+    with context:
+        cast = Cast(actor, actor.model, *tracers(actor, RAYS, 1))
+        show = Show(context, cast, environment)
+        show.screen.samples = 0
+        show.settle(view)
+        view.vertex = (25, False)
+        target = context.framebuffer([context.texture(SIZE, 4)])
+        for _ in range(2):
+            show.draw(view, SIZE, target)
+        data = np.frombuffer(target.read(components=3, alignment=1), dtype=np.uint8)
+        seen = data.reshape(SIZE[1], SIZE[0], 3)[::-1].astype(int)
+        shot = shot_of(actor, view, show)
+        with opened("cpu") as renderer:
+            exposure = show.exposures.get("studio")
+            picture, _ = shot.split(renderer, (mode, mode), 1.0, exposure)
+            assert shot.draw(renderer, mode)[..., 3].mean() > 0.03
+        traced = mode in ("visibility", "error")
+        expected = shot.with_vertex(picture, 25, traced).astype(int)
+        show.release()
+    context.release()
+    inside = np.abs(seen - expected).max(axis=-1) <= 3
+    assert inside.mean() > 0.97
+    # Pixels that differ are edges: they lie beside ones that are background in one of the two.
+    assert (np.abs(seen - expected)[inside].mean()) < 1.0
+
+
+def test_a_split_shows_one_beside_the_other(actor):
+    view = View("bend", 1.5, brdf="phong")
+    order = actor.model.order
+    posed = Posed(actor, view.pose(actor), *tracers(actor, RAYS, 1))
+    light, brdf = environment("studio"), brdf_named("phong")
+    from runtime.view import framing
+
+    shot = Shot(posed, framing(actor, "bend"), light, lobes_of(light.harmonics(order), 3), brdf,
+                material(brdf, 8, order), SIZE)  # fmt: skip
+    with opened("cpu") as renderer:
+        whole, exposure = shot.split(renderer, ("prediction", "open"), 1.0, None)
+        right, same = shot.split(renderer, ("prediction", "open"), 0.0, exposure)
+        both, _ = shot.split(renderer, ("prediction", "open"), 0.5, exposure)
+        assert same == exposure
+        brighter, _ = shot.split(renderer, ("prediction", "open"), 1.0, exposure, stops=1.0)
+        _, unlit = shot.split(renderer, ("error", "ambient"), 0.5, None)
+    assert np.array_equal(both[:, :60], whole[:, :60])
+    assert np.array_equal(both[:, 60:], right[:, 60:])
+    assert brighter.astype(int).sum() > whole.astype(int).sum()
+    assert unlit is None
