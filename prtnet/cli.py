@@ -358,7 +358,7 @@ def export(argv: Sequence[str]) -> None:
 
 
 def render(argv: Sequence[str]) -> None:
-    """Draw one picture of a posed scene, without a window."""
+    """Draw pictures or a movie of a posed scene, without a window."""
     from prtnet.cli_arguments import check_output, input_file
     from prtnet.cli_options import RenderOptions
 
@@ -480,7 +480,7 @@ COMMANDS = {
     ),
     "render": Command(
         render,
-        "Draw one picture of a posed scene, without a window.",
+        "Draw pictures or a movie of a posed scene, without a window.",
         "prtnet render robot.safetensors robot.glb --clip Walk --out frame.png --compare truth",
     ),
     "view": Command(
