@@ -29,6 +29,7 @@ __all__ = [
 
 
 MOST_LOBES, MOST_FACTORS = 11, 64  # what shaders are made for
+MOST_COPIES = 100  # characters
 Look = Literal["prediction", "truth", "visibility", "open", "ambient", "error"]
 RENDER_LEAST = {
     "rays": 1, "threads": 1, "lobes": 0, "order": 1, "factors": 1, "light_turn": -1e6, "dering": 0,
@@ -229,6 +230,7 @@ class ViewOptions:
     order: int | None = None  # bands of light and visibility to show; the model's when not given
     brdf: str = "matte"  # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file
     factors: int = 8  # products that a BRDF is a sum of
+    copies: int = 1  # characters beside and behind each other, each at a moment of its own
     size: tuple[int, int] = (1280, 800)  # of the window, in pixels
     out: Path = Path()  # folder of saved pictures
     rays: int = 512  # rays per receiver of the truth
@@ -241,6 +243,9 @@ class ViewOptions:
         at_least("--lobes", self.lobes, 0)
         at_least("--order", self.order, 1)
         at_least("--factors", self.factors, 1)
+        at_least("--copies", self.copies, 1)
+        if self.copies > MOST_COPIES:
+            raise PrtnetError("--copies", f"are {self.copies}; at most {MOST_COPIES} are drawn")
         blend_of(self.blend)
         fits_a_shader(self.lobes, self.factors)
         if max(self.size) > 8192:

@@ -57,6 +57,7 @@ def opened_viewer(
     view = View(
         clip.name, clip.start, light=options.light, lobes=options.lobes, brdf=options.brdf,
         factors=options.factors, order=order_of(options.order, cast.actor.model.order),
+        copies=options.copies,
     )  # fmt: skip
     if (blend := blend_of(options.blend)) is not None:
         view.blend_clip, view.blend_time, view.blend = blend

@@ -6,9 +6,11 @@ into a picture on any OpenGL context. Windows and command lines only change the 
 
 from __future__ import annotations
 
+import math
 import time as clock
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import moderngl
 import numpy as np
@@ -22,6 +24,7 @@ from prtnet.zh import Lobes
 from runtime.background import Background
 from runtime.camera import Camera
 from runtime.cast import Cast
+from runtime.crowd import crowd_places, crowd_poses, elbow_room
 from runtime.error_pictures import error_scale, vertex_error
 from runtime.looks import (
     cut_lobes,
@@ -44,6 +47,8 @@ from runtime.vertex_sphere import inset_of
 from runtime.view import UNLIT, Mode, View, framing
 
 __all__ = ["Show"]
+
+T = TypeVar("T")
 
 
 class Show:
@@ -81,6 +86,8 @@ class Show:
         self._predicted: tuple[Any, FloatArray] | None = None
         self._traced: tuple[Any, FloatArray] | None = None
         self._inset: tuple[Any, list[tuple[FloatArray, tuple[int, int]]]] | None = None
+        self._others: tuple[Any, list[tuple[Subject, FloatArray, Any]]] | None = None
+        self._room = elbow_room(self.actor)
         self._white = white_light(self.order)
         self._matte = material(brdf_named("matte"), order=self.order)
         self._made: list[Any] = []
@@ -133,7 +140,9 @@ class Show:
         """Where a view is from: what frames the first clip, walked around."""
         if self.framing is None:
             self.framing = framing(self.actor, view.clip)
-        return view.camera(self.framing)
+        camera = view.camera(self.framing)
+        behind = math.sqrt(2.0 * view.copies) * self._room
+        return camera if view.copies == 1 else replace(camera, far=camera.far + behind)
 
     def draw(self, view: View, size: tuple[int, int], target: Any) -> None:
         """Draw a view into a framebuffer of this size."""
@@ -193,6 +202,13 @@ class Show:
         self.stage.show(seeing(self.actor, self.subject(view), shown))
         self.stage.draw(frame, matrix, eye)
         self._count(**self.stage.milliseconds)
+        if mode == "visibility":
+            return
+        for subject, place, others in self.others(view, self.cast.predict):
+            seen = shown if mode == "open" else cut_visibility(others, view.order)
+            self.stage.show(seeing(self.actor, subject, seen))
+            self.stage.draw(frame, matrix @ moved(place), eye - place)
+            self._count(**self.stage.milliseconds)
 
     def _expose(self, view: View, split: int) -> bool:
         """Choose the exposure under this light by what has been drawn, if anything lit has been."""
@@ -232,8 +248,7 @@ class Show:
         stage.material(self.operator(view))
         pose = self.pose(view)
         started = clock.perf_counter()
-        latents = self.cast.latents[0](pose)[0]
-        occluders = None if self.cast.occluders is None else self.cast.occluders(pose)[0]
+        (latents, occluders), *_ = self._for_shader(pose)
         self._count(model=1e3 * (clock.perf_counter() - started))
         subject = self.subject(view)
         front, back = sides(self.actor)
@@ -241,6 +256,34 @@ class Show:
         stage.show_latents(subject, latents, receivers, occluders)
         stage.draw(frame, matrix, eye)
         self._count(**stage.milliseconds)
+        for other, place, own in self.others(view, self._for_shader):
+            stage.show_latents(other, own[0], receivers, own[1])
+            stage.draw(frame, matrix @ moved(place), eye - place)
+            self._count(**stage.milliseconds)
+
+    def _for_shader(self, poses: FloatArray) -> list[tuple[FloatArray, FloatArray | None]]:
+        """What a shader rebuilds visibility from, of each pose: latents, and a prior's occluders."""
+        cast = self.cast
+        assert cast.latents is not None
+        latents = cast.latents[0](poses)
+        seen = [None] * len(poses) if cast.occluders is None else list(cast.occluders(poses))
+        return list(zip(latents, seen, strict=True))
+
+    def others(
+        self, view: View, evaluate: Callable[[FloatArray], Sequence[T]]
+    ) -> list[tuple[Subject, FloatArray, T]]:
+        """All characters but the first: vertices, place, and what the model makes of the pose."""
+        key = (view.moments, view.copies, evaluate)
+        if view.copies > 1 and (self._others is None or self._others[0] != key):
+            places = crowd_places(view.copies, self._room)[1:]
+            started = clock.perf_counter()
+            poses = crowd_poses(self.actor, view, view.copies)[1:]
+            subjects = [posed_subject(self.actor, pose[None]) for pose in poses]
+            posed = clock.perf_counter()
+            found = evaluate(poses)
+            self._count(pose=1e3 * (posed - started), model=1e3 * (clock.perf_counter() - posed))
+            self._others = key, list(zip(subjects, places, found, strict=True))
+        return [] if view.copies == 1 or self._others is None else self._others[1]
 
     def _count(self, **spent: float) -> None:
         """Milliseconds of stages: those of both sides of a split are summed."""
@@ -369,3 +412,10 @@ class Show:
             light = self.environments(view.light).harmonics(self.order)
             self._lit = key, lobes_of(light, view.lobes)
         return cut_lobes(self._lit[1].rotated(about_up(view.light_turn)), view.order)
+
+
+def moved(place: FloatArray) -> FloatArray:
+    """The matrix (4, 4) that puts what is at the origin there."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = place
+    return matrix

@@ -12,7 +12,7 @@ import numpy as np
 from prtnet.modelled_scene import ModelledScene, Moment
 from runtime.camera import Camera
 
-__all__ = ["MODES", "UNLIT", "Mode", "View", "framing"]
+__all__ = ["MODES", "UNLIT", "Mode", "View", "framing", "later"]
 
 Mode = Literal["prediction", "truth", "visibility", "open", "ambient", "error"]
 MODES: tuple[Mode, ...] = get_args(Mode)
@@ -32,6 +32,7 @@ class View:
         blend_clip: another animation on the way to which the pose is; empty for none.
         blend_time: seconds into that.
         blend: how far on the way, 0 to 1.
+        copies: of the character, each at a moment of its own; only the first is traced.
         light: its name, as in ``prtnet render``.
         light_turn: about the vertical, degrees.
         lobes: of the light, a colour; 0 for as many as hold it exactly, None for few if they do.
@@ -55,6 +56,7 @@ class View:
     blend_clip: str = ""
     blend_time: float = 0.0
     blend: float = 0.0
+    copies: int = 1
     light: str = "studio"
     light_turn: float = 0.0
     lobes: int | None = 3

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from prtnet.merl import Measured
+from runtime.crowd import MOST
 from runtime.view import MODES
 
 if TYPE_CHECKING:
@@ -83,6 +84,8 @@ class Panel:
             moved, view.blend_time = self.time("its time", view.blend_clip, view.blend_time)
             view.playing = view.playing and not moved
             view.blend = self.slider("share", view.blend, 0.0, 1.0, "%.2f")
+        always = imgui.SliderFlags_.always_clamp
+        _, view.copies = imgui.slider_int("characters", view.copies, 1, MOST, "%d", always)
 
     def look(self) -> None:
         """What is shown on either side, of how many bands, how bright."""

@@ -39,6 +39,26 @@ def test_every_pixel_picks_what_the_rasteriser_draws_there():
     assert 100 < hits < 350
 
 
+def test_of_triangles_that_cross_the_one_in_front_is_picked():
+    """Steep ones, so that the depth between corners decides; each has a colour of its own."""
+    rng = np.random.default_rng(1)
+    positions = rng.uniform(-1.0, 1.0, (36, 3))
+    faces = np.arange(36, dtype=np.int32).reshape(12, 3)
+    camera = Camera((0.0, 0.0, 4.0), (0.0, 0.0, 0.0))
+    matrix = camera.matrix(SIZE[0] / SIZE[1])
+    number = np.repeat(np.arange(12), 3)[:, None] * np.ones((1, 3))
+    drawn = rasterise(positions, faces, number, matrix, SIZE)
+    right, hits = 0, 0
+    for y in range(0, SIZE[1], 3):
+        for x in range(0, SIZE[0], 3):
+            found = picked(positions, faces, matrix, SIZE, (x + 0.5, y + 0.5))
+            if found is not None:
+                hits += 1
+                right += found[0] // 3 == round(drawn[y, x, 0])
+    assert hits > 200
+    assert right >= 0.99 * hits
+
+
 def test_the_nearest_corner_of_the_nearest_triangle():
     triangle = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
     positions = np.concatenate([triangle - np.eye(3)[2], triangle, triangle - 2 * np.eye(3)[2]])

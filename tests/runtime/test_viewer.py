@@ -26,11 +26,14 @@ from prtnet.gpu_tables import gpu_tables
 from prtnet.modelled_scene import Moment
 from runtime import recording
 from runtime.cast import Cast
+from runtime.crowd import crowd_places, crowd_poses, elbow_room
 from runtime.draw import opened, render_material
 from runtime.dropped import take_files
+from runtime.looks import cut_visibility
 from runtime.pick import projected
 from runtime.picture import develop, laid_over
 from runtime.posed_surface import posed_subject
+from runtime.reflected import Side, Subject
 from runtime.show import Show
 from runtime.stage import Stage
 from runtime.view import MODES, View
@@ -399,6 +402,38 @@ def test_the_vertex_under_the_mouse_shows_what_it_sees(viewer):
     press(viewer, "V")
     viewer.step(0.0)
     assert view.vertex is None
+
+
+@pytest.mark.parametrize("order", [0, 2])  # rebuilt on the GPU, and not
+def test_many_characters_are_each_drawn_in_their_own_pose_and_place(viewer, order):
+    """As one after the other is drawn alone, by NumPy."""
+    show, view = viewer.show, viewer.view
+    show.screen.samples = 0
+    view.order, view.time, view.distance, view.copies = order, 0.7, 2.0, 3
+    seen = read(viewer)
+    camera, size = show.camera(view), SIZE
+    places = crowd_places(3, elbow_room(show.actor))
+    poses = crowd_poses(show.actor, view, 3)
+    assert np.array_equal(poses[:1], show.pose(view))
+    assert len(np.unique(poses, axis=0)) == 3
+    shown = cut_visibility(show.cast.predict(poses), order)
+    subjects = [posed_subject(show.actor, poses[k : k + 1], shown[k]) for k in range(3)]
+    vertices = len(subjects[0].positions)
+    side = [Side(*(np.concatenate([getattr(s.front, name) for s in subjects])
+                   for name in ("visibility", "frames")))]  # fmt: skip
+    crowd = Subject(
+        np.concatenate([s.positions + place for s, place in zip(subjects, places, strict=True)]),
+        np.concatenate([s.faces + k * vertices for k, s in enumerate(subjects)]),
+        *side,
+    )
+    with opened("cpu") as renderer:
+        linear = render_material(
+            renderer, crowd, show.lit(view), show.operator(view), camera, size, samples=1
+        )
+    expected = develop(linear, show.exposures["studio"]).astype(int)
+    assert np.mean(np.abs(seen - expected).max(axis=-1) <= 2) >= 0.999
+    view.copies = 1
+    assert np.mean(np.abs(seen - read(viewer)).max(axis=-1) > 20) > 0.01
 
 
 def test_memory_is_told_by_what_takes_it(viewer):
