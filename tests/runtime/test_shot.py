@@ -16,7 +16,7 @@ from runtime.gl import create_context
 from runtime.looks import cut_lobes, lobes_of
 from runtime.shot import Posed, Shot
 from runtime.show import Show
-from runtime.view import MODES, View
+from runtime.view import MODES, View, framing
 from tests.runtime.test_posed_surface import modelled
 
 SIZE = (120, 90)
@@ -42,9 +42,9 @@ def shot_of(actor: ModelledScene, view: View, show: Show) -> Shot:
 @pytest.mark.gl
 @pytest.mark.parametrize("mode", MODES)
 def test_both_draw_every_mode_alike(actor, mode):
-    """A sample in the middle of every pixel, but for edges: the window's are smoothed otherwise."""
+    """Fewer bands, a blended pose, a turned light, a vertex's sphere: in everything there is."""
     view = View("bend", 1.5, "bend", 3.0, 0.4, light_turn=70.0, lobes=0, brdf="phong", left=mode,
-                order=2)  # fmt: skip
+                order=2, distance=0.7)  # fmt: skip
     context = create_context()
     with context:
         cast = Cast(actor, actor.model, *tracers(actor, RAYS, 1))
@@ -61,15 +61,16 @@ def test_both_draw_every_mode_alike(actor, mode):
         with opened("cpu") as renderer:
             exposure = show.exposures.get("studio")
             picture, _ = shot.split(renderer, (mode, mode), 1.0, exposure)
-            assert shot.draw(renderer, mode)[..., 3].mean() > 0.03
+            covered = shot.draw(renderer, mode)[..., 3] == 1.0
+            assert covered.mean() > 0.03
         traced = mode in ("visibility", "error")
         expected = shot.with_vertex(picture, 25, traced).astype(int)
         show.release()
     context.release()
-    inside = np.abs(seen - expected).max(axis=-1) <= 3
-    assert inside.mean() > 0.97
-    # Pixels that differ are edges: they lie beside ones that are background in one of the two.
-    assert (np.abs(seen - expected)[inside].mean()) < 1.0
+    away = np.abs(seen - expected).max(axis=-1)
+    # Of one sample a pixel and of the mean of four; at edges they differ.
+    assert np.mean(away[covered] <= 4) > 0.9
+    assert np.mean(away <= 4) > 0.97
 
 
 def test_a_split_shows_one_beside_the_other(actor):
@@ -77,8 +78,6 @@ def test_a_split_shows_one_beside_the_other(actor):
     order = actor.model.order
     posed = Posed(actor, view.pose(actor), *tracers(actor, RAYS, 1))
     light, brdf = environment("studio"), brdf_named("phong")
-    from runtime.view import framing
-
     shot = Shot(posed, framing(actor, "bend"), light, lobes_of(light.harmonics(order), 3), brdf,
                 material(brdf, 8, order), SIZE)  # fmt: skip
     with opened("cpu") as renderer:
