@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -262,7 +262,7 @@ class Show:
             self._count(**stage.milliseconds)
 
     def _for_shader(self, poses: FloatArray) -> list[tuple[FloatArray, FloatArray | None]]:
-        """What a shader rebuilds visibility from, of each pose: latents, and a prior's occluders."""
+        """What a shader rebuilds visibility from, of each pose: latents, a prior's occluders."""
         cast = self.cast
         assert cast.latents is not None
         latents = cast.latents[0](poses)
@@ -270,7 +270,7 @@ class Show:
         return list(zip(latents, seen, strict=True))
 
     def others(
-        self, view: View, evaluate: Callable[[FloatArray], Sequence[T]]
+        self, view: View, evaluate: Callable[[FloatArray], Iterable[T]]
     ) -> list[tuple[Subject, FloatArray, T]]:
         """All characters but the first: vertices, place, and what the model makes of the pose."""
         key = (view.moments, view.copies, evaluate)

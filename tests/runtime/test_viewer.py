@@ -404,6 +404,27 @@ def test_the_vertex_under_the_mouse_shows_what_it_sees(viewer):
     assert view.vertex is None
 
 
+def test_pixels_of_a_fine_screen_are_counted_where_the_mouse_is(viewer, monkeypatch):
+    """Its framebuffer has four pixels where the mouse knows one."""
+    viewer.step(0.0)
+    fine = 2 * SIZE[0], 2 * SIZE[1]
+    monkeypatch.setattr(type(viewer.window), "pixel_ratio", property(lambda _: 2.0))
+    viewer.imgui.get_io().want_capture_mouse = False
+    found = set()
+    for x, y in np.ndindex(SIZE[0] // 4, SIZE[1] // 4):
+        viewer.mouse = 4 * x, 4 * y
+        place = 2.0 * (viewer.mouse[0] + 0.5), 2.0 * (viewer.mouse[1] + 0.5)
+        found.add(viewer.pointed_at(fine))
+        assert viewer.pointed_at(fine) == viewer.show.pick(viewer.view, fine, place)
+    assert len(found) > 5
+
+
+def test_a_minimised_window_draws_nothing(viewer, monkeypatch):
+    monkeypatch.setattr(type(viewer.window), "buffer_size", property(lambda _: (0, 0)))
+    viewer.picture()
+    assert viewer.message == ""
+
+
 @pytest.mark.parametrize("order", [0, 2])  # rebuilt on the GPU, and not
 def test_many_characters_are_each_drawn_in_their_own_pose_and_place(viewer, order):
     """As one after the other is drawn alone, by NumPy."""
@@ -475,6 +496,10 @@ def test_the_command_opens_what_it_is_given(window, tmp_path, monkeypatch, kind)
     found.view.left, found.view.right, found.view.split = "prediction", "truth", 0.5
     picture = read(found)
     assert np.ptp(picture) > 60
+    found.view.copies, found.view.split, found.view.distance = 2, 1.0, 3.0
+    pair = read(found)
+    found.view.copies = 1
+    assert np.abs(pair - read(found)).max() > 20
     found.release()
     with pytest.raises(PrtnetError, match="is no folder"):
         opened_viewer(dataclasses.replace(options, out=tmp_path / "none"), 1, lambda _: None)
