@@ -24,7 +24,8 @@ from prtnet.materials import PRESETS, brdf_named, material
 from prtnet.model import VisibilityModel
 from prtnet.modelled_scene import ModelledScene
 from prtnet.reflection import local_view
-from prtnet.zh import exact_lobes, fit_lobes
+from prtnet.zh import exact_lobes
+from prtnet.zh_fit import fit_lobes
 from runtime.camera import Camera
 from runtime.draw import Renderer, opened, render_colours, render_material
 from runtime.picture import Panel, auto_exposure, compose_panels, develop, save_png

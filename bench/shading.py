@@ -22,7 +22,8 @@ from prtnet.model import VisibilityModel
 from prtnet.modelled_scene import ModelledScene
 from prtnet.reflection import ReflectionOperator
 from prtnet.sh import fibonacci_sphere
-from prtnet.zh import Lobes, exact_lobes, fit_lobes
+from prtnet.zh import Lobes, exact_lobes
+from prtnet.zh_fit import fit_lobes
 from runtime.camera import Camera
 from runtime.gl import create_context
 from runtime.onnx_model import OnnxPart

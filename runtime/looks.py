@@ -10,7 +10,8 @@ import math
 import numpy as np
 
 from prtnet.arrays import FloatArray
-from prtnet.zh import Lobes, exact_lobes, fewest_lobes, fit_lobes, relative_error
+from prtnet.zh import Lobes, exact_lobes, relative_error
+from prtnet.zh_fit import fewest_lobes, fit_lobes
 from runtime.picture import colour_map
 
 __all__ = [

@@ -14,7 +14,8 @@ from prtnet.equirectangular import Picture
 from prtnet.errors import PrtnetError
 from prtnet.exr import read_exr
 from prtnet.light import load_light
-from prtnet.zh import fit_lobes, relative_error
+from prtnet.zh import relative_error
+from prtnet.zh_fit import fit_lobes
 from tests.prtnet.test_exr import PICTURE, refused, write
 from tests.prtnet.test_hdr import encode, flat
 

@@ -10,15 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from prtnet import sh
 from prtnet.sh_rotation import rotate
-from prtnet.zh import (
-    Lobes,
-    best_coefficients,
-    exact_lobes,
-    fewest_lobes,
-    fit_lobes,
-    misfit,
-    relative_error,
-)
+from prtnet.zh import Lobes, best_coefficients, exact_lobes, relative_error
+from prtnet.zh_fit import fewest_lobes, fit_lobes, misfit
 
 POLES = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
 SHAPE = np.array([0.7, 1.1, 0.4, -0.3])

@@ -11,7 +11,8 @@ from prtnet.environment import Environment, environment
 from prtnet.equirectangular import Picture
 from prtnet.materials import BRDFS, brdf_named, material
 from prtnet.reflection import ReflectionOperator
-from prtnet.zh import exact_lobes, fit_lobes
+from prtnet.zh import exact_lobes
+from prtnet.zh_fit import fit_lobes
 from runtime.draw import opened, render_material
 from runtime.reflected import Side, Subject, outgoing_radiance
 from tests.runtime.scenes import frames_of, knot_subject, sky, three_quarters

@@ -12,7 +12,8 @@ from prtnet import sh
 from prtnet.light import load_light
 from prtnet.presets import PRESETS
 from prtnet.sh_rotation import rotate
-from prtnet.zh import Lobes, exact_lobes, fewest_lobes, fit_lobes, misfit, relative_error
+from prtnet.zh import Lobes, exact_lobes, relative_error
+from prtnet.zh_fit import fewest_lobes, fit_lobes, misfit
 
 # Errors under this are the ridge's, or of lobes that meet: the search ends in a flat valley.
 FLOOR = 3e-4
@@ -173,7 +174,7 @@ def test_further_starts_only_help():
 def test_a_fit_in_blocks_is_the_same(monkeypatch):
     target = np.random.default_rng(2).normal(size=(5, 9))
     whole = fit_lobes(target, 2)
-    monkeypatch.setattr("prtnet.zh.BLOCK", 2)
+    monkeypatch.setattr("prtnet.zh_fit.BLOCK", 2)
     np.testing.assert_allclose(fit_lobes(target, 2).axes, whole.axes, atol=1e-6)
 
 
