@@ -1,7 +1,8 @@
-"""Small smooth problems minimised all at once: BFGS on a batch, each with its own matrix.
+"""Small smooth problems minimised many at once: BFGS on a batch, each with its own matrix and step.
 
-For problems of some ten unknowns, whose evaluation costs less than a call from Python: a hundred
-together take about as long as one.
+For problems of some ten unknowns, whose evaluation costs less than a call from Python. A problem is
+a column. Every round evaluates each problem of the batch once, whether it tries its first step
+along a direction or a shorter one, and problems that are done make room for those that wait.
 
 Papers:
     [1] Nocedal and Wright, "Numerical Optimization", 2nd edition, 2006.
@@ -13,102 +14,163 @@ from collections.abc import Callable
 
 import numpy as np
 
-from prtnet.arrays import FloatArray, IntArray
+from prtnet.arrays import BoolArray, FloatArray, IntArray
 
 __all__ = ["Objective", "minimise"]
 
-# Takes the indices (K,) of problems and their points (K, D): values (K,) and gradients (K, D).
+# Takes the indices (K,) of problems and their points (D, K): values (K,) and slopes (D, K).
 Objective = Callable[[IntArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 SUFFICIENT = 1e-4  # share of the decrease that the slope promises [1, eq. 3.4]
-SHORTER = 0.4
-TRIALS = 12
+SHORTER = (0.1, 0.5)  # a rejected step is multiplied by something between
+SHORTEST = 1e-5  # a direction is given up below this share of its first step
+WIDTH = 1024  # problems under way at once
+QUIET = 2  # steps one after another that gain too little: one may be unlucky
+ROOM = 0.25  # of the batch is refilled at a time
 
 
 def minimise(
-    objective: Objective, start: FloatArray, iterations: int, reach: float, tolerance: float
+    objective: Objective,
+    start: FloatArray,
+    iterations: int,
+    reach: float,
+    tolerance: float,
+    enough: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Points near local minima, none with a value above that of its start.
 
     Args:
-        objective: value and gradient; it is asked only about problems still under way.
-        start: points, (B, D).
-        iterations: at most.
-        reach: the largest change of a coordinate in one iteration.
-        tolerance: a problem is done when an iteration takes away less than this share of its value.
+        objective: values and slopes; it is asked only about problems still under way.
+        start: points, (D, B).
+        iterations: accepted steps at most.
+        reach: the largest change of a coordinate in one step.
+        tolerance: a problem is done when steps take away less than this share of its value.
+        enough: a problem is done when its value is not above this.
 
     Returns:
-        Points (B, D) and values (B,).
+        Points (D, B) and values (B,).
     """
-    count, size = start.shape
-    points = start.astype(np.float64)
-    values, gradients = objective(np.arange(count), points)
-    inverse = np.tile(np.eye(size), (count, 1, 1))  # of the Hessian
-    under_way = np.arange(count)
-    for iteration in range(iterations):
-        under_way = under_way[(gradients[under_way] != 0).any(axis=-1)]
-        if len(under_way) == 0:
-            break
-        # Each step: from the points (before) along a direction to what the line search accepts.
-        before, value = points[under_way], values[under_way]
-        step = -(inverse[under_way] @ gradients[under_way, :, None])[..., 0]
-        uphill = (step * gradients[under_way]).sum(axis=-1) >= 0.0  # rounding took its definiteness
-        step[uphill] = -gradients[under_way[uphill]]
-        step *= np.minimum(1.0, reach / np.abs(step).max(axis=-1, keepdims=True))
-        slope = (step * gradients[under_way]).sum(axis=-1)
-        accepted, found = search(objective, under_way, before, step, value, slope)
-        under_way = under_way[accepted]
-        change = found[0] - before[accepted]
-        bend = found[2] - gradients[under_way]
-        inverse[under_way] = updated(inverse[under_way], change, bend, first=iteration == 0)
-        points[under_way], values[under_way], gradients[under_way] = found
-        gain = value[accepted] - found[1]
-        under_way = under_way[gain > tolerance * found[1]]
+    points = np.array(start, dtype=np.float64)
+    count = points.shape[1]
+    values = np.empty(count)
+    if count == 0:
+        return points, values
+    waiting = min(WIDTH, count)  # the first that has not begun
+    batch = Batch(objective, np.arange(waiting), points[:, :waiting], reach)
+    while waiting < count or len(batch.which) > 0:
+        if waiting < count and len(batch.which) <= (1.0 - ROOM) * WIDTH:
+            new = np.arange(waiting, min(waiting + WIDTH - len(batch.which), count))
+            batch.join(Batch(objective, new, points[:, new], reach))
+            waiting += len(new)
+        batch.done |= (batch.taken >= iterations) | (batch.value <= enough)
+        gain = batch.step(objective, reach)
+        small = gain <= tolerance * np.abs(batch.value)
+        batch.quiet = np.where(small, batch.quiet + 1, np.where(np.isinf(gain), batch.quiet, 0))
+        batch.done |= batch.quiet >= QUIET
+        if batch.done.mean() >= ROOM:
+            finished = batch.which[batch.done]
+            points[:, finished] = batch.point[:, batch.done]
+            values[finished] = batch.value[batch.done]
+            batch.keep(~batch.done)
     return points, values
 
 
-def search(
-    objective: Objective,
-    which: IntArray,
-    before: FloatArray,
-    step: FloatArray,
-    value: FloatArray,
-    slope: FloatArray,
-) -> tuple[IntArray, tuple[FloatArray, FloatArray, FloatArray]]:
-    """Backtracking: positions in ``which`` that got lower; their points, values and gradients."""
-    points, values, gradients = before.copy(), value.copy(), np.empty_like(before)
-    length = 1.0
-    trying, lower = np.arange(len(which)), np.zeros(len(which), dtype=bool)
-    for _ in range(TRIALS):
-        trial = before[trying] + length * step[trying]
-        trial_value, trial_gradient = objective(which[trying], trial)
-        good = trial_value <= value[trying] + SUFFICIENT * length * slope[trying]
-        done = trying[good]
-        points[done], values[done] = trial[good], trial_value[good]
-        gradients[done], lower[done] = trial_gradient[good], True
-        trying = trying[~good]
-        if len(trying) == 0:
-            break
-        length *= SHORTER
-    return np.flatnonzero(lower), (points[lower], values[lower], gradients[lower])
+class Batch:
+    """Problems under way: a column each.
 
-
-def updated(inverse: FloatArray, change: FloatArray, bend: FloatArray, first: bool) -> FloatArray:
-    """The inverse Hessians (K, D, D) after steps (K, D) that changed gradients so [1, eq. 6.17].
-
-    Where the curvature along the step is not positive the matrix is left as it was.
+    Attributes:
+        which: their indices, (K,).
+        point: the best points, (D, K); ``value`` and ``slope`` are the objective's there.
+        taken: steps accepted, (K,); ``quiet``: of the last ones, how many gained too little.
+        done: which are finished, (K,).
     """
-    curvature = (change * bend).sum(axis=-1)
-    usual = curvature > 1e-12 * np.linalg.norm(change, axis=-1) * np.linalg.norm(bend, axis=-1)
-    s, y, rho = change[usual], bend[usual], 1.0 / curvature[usual, None, None]
-    result = inverse.copy()
-    old = result[usual]
-    if first:
-        old = old * (1.0 / (rho * (y * y).sum(axis=-1)[:, None, None]))  # [1, eq. 6.20]
-    bent = (old @ y[..., None])[..., 0]
-    across = bent[:, :, None] * s[:, None, :]
-    along = 1.0 + rho * (y * bent).sum(axis=-1)[:, None, None]
-    result[usual] = old + rho * (
-        along * s[:, :, None] * s[:, None, :] - across - np.swapaxes(across, -1, -2)
-    )
-    return result
+
+    # Arrays whose last axis is the problem.
+    STATE = (
+        "which", "point", "value", "slope", "inverse", "direction", "scale", "length", "taken",
+        "quiet", "done",
+    )  # fmt: skip
+
+    def __init__(
+        self, objective: Objective, which: IntArray, point: FloatArray, reach: float
+    ) -> None:
+        size, count = point.shape
+        self.which, self.point = which, point
+        self.value, self.slope = objective(which, point)
+        self.inverse = np.zeros((size, size, count))  # of the Hessian
+        self.inverse[np.arange(size), np.arange(size)] = 1.0
+        self.taken = np.zeros(count, dtype=np.int64)
+        self.quiet = np.zeros_like(self.taken)
+        self.done = (self.slope == 0).all(axis=0)
+        self.direction = -self.slope
+        self.length = np.ones(count)
+        self.scale = self.limited(reach)
+
+    def join(self, other: Batch) -> None:
+        """Take in further problems."""
+        for name in self.STATE:
+            pair = getattr(self, name), getattr(other, name)
+            setattr(self, name, np.concatenate(pair, axis=-1))
+
+    def keep(self, chosen: BoolArray) -> None:
+        """Drop all others."""
+        for name in self.STATE:
+            setattr(self, name, np.compress(chosen, getattr(self, name), axis=-1))
+
+    def limited(self, reach: float) -> FloatArray:
+        """What share of the directions changes no coordinate by more than the reach."""
+        largest = np.abs(self.direction).max(axis=0, initial=0.0)
+        return np.minimum(1.0, reach / np.where(largest > 0, largest, 1.0))
+
+    def step(self, objective: Objective, reach: float) -> FloatArray:
+        """Try a point a problem; what it took from the value, or infinity while still trying."""
+        move = self.scale * self.length * self.direction
+        value, slope = objective(self.which, self.point + move)
+        promised = (move * self.slope).sum(axis=0)
+        rise = value - self.value
+        good = (rise <= SUFFICIENT * promised) & ~self.done
+        gain = np.where(good, -rise, np.inf)
+        bend = np.where(good, slope - self.slope, 0.0)
+        move = np.where(good, move, 0.0)
+        along = np.where(good, slope, self.slope)
+        turned = self.updated(move, bend, along)
+        self.point += move
+        self.value = np.where(good, value, self.value)
+        self.slope = along
+        self.taken += good
+        uphill = good & ((turned * along).sum(axis=0) >= 0.0)  # rounding took its definiteness
+        turned[:, uphill] = -along[:, uphill]
+        self.direction = np.where(good, turned, self.direction)
+        self.scale = np.where(good, self.limited(reach), self.scale)
+        # A rejected step: to the minimum of the parabola through both values and the first slope.
+        bowl = 2.0 * (rise - promised)
+        best = np.divide(-promised, bowl, out=np.full_like(bowl, SHORTER[0]), where=bowl > 0)
+        self.length = np.where(good, 1.0, self.length * np.clip(best, *SHORTER))
+        self.done |= (self.length < SHORTEST) | (self.slope == 0).all(axis=0)
+        return gain
+
+    def updated(self, move: FloatArray, bend: FloatArray, slope: FloatArray) -> FloatArray:
+        """Update inverse Hessians by steps (D, K) that changed slopes so [1, eq. 6.17].
+
+        Where the curvature along a step is not positive, or there was no step, the matrix is left
+        as it was.
+
+        Returns:
+            −H g, the directions (D, K) of Newton's steps from where the slopes are g.
+        """
+        curvature = (move * bend).sum(axis=0)
+        steep = (bend * bend).sum(axis=0)
+        usual = curvature > 1e-12 * np.sqrt((move * move).sum(axis=0) * steep)
+        first = usual & (self.taken == 0)
+        rho = np.divide(1.0, curvature, out=np.zeros_like(curvature), where=usual)
+        if first.any():  # [1, eq. 6.20]
+            scale = np.divide(curvature, steep, out=np.ones_like(curvature), where=first)
+            self.inverse *= scale
+        bent = np.einsum("ijk,jk->ik", self.inverse, bend)
+        side = rho * (0.5 * (1.0 + rho * (bend * bent).sum(axis=0)) * move - bent)
+        result = -np.einsum("ijk,jk->ik", self.inverse, slope)
+        result -= move * (side * slope).sum(axis=0) + side * (move * slope).sum(axis=0)
+        for row, s, u in zip(self.inverse, move, side, strict=True):
+            row += s * side
+            row += u * move
+        return result

@@ -31,7 +31,6 @@ __all__ = [
     "best_coefficients",
     "checked",
     "exact_lobes",
-    "in_order",
     "relative_error",
     "synthesis",
     "zonal_energy",
@@ -53,6 +52,10 @@ class Lobes:
 
     axes: FloatArray
     coefficients: FloatArray
+
+    def __getitem__(self, which: Any) -> Lobes:
+        """Some of the sums, by any index of their leading axes."""
+        return Lobes(self.axes[which], self.coefficients[which])
 
     def harmonics(self) -> FloatArray:
         """The coefficients of the sum, (..., n²) [1, eq. 7]."""
@@ -112,7 +115,7 @@ def relative_error(target: FloatArray, lobes: Lobes) -> float:
     return error / size if error > 0 else 0.0
 
 
-def best_coefficients(basis: FloatArray, target: FloatArray) -> FloatArray:
+def best_coefficients(basis: FloatArray, target: FloatArray, ridge: float = RIDGE) -> FloatArray:
     """The g*_l (..., N, n) of lobes with the basis (..., N, n²) at their axes that fit f (..., n²).
 
     Of one lobe this is [1, eq. 18] but for the ridge; of several a system of N unknowns a band.
@@ -122,25 +125,11 @@ def best_coefficients(basis: FloatArray, target: FloatArray) -> FloatArray:
     for band in range(order):
         part = slice(band * band, (band + 1) ** 2)
         own = basis[..., part]
-        ridge = RIDGE * zonal_energy(band) * np.eye(basis.shape[-2])
-        systems.append(own @ np.swapaxes(own, -1, -2) + ridge)
+        diagonal = ridge * zonal_energy(band) * np.eye(basis.shape[-2])
+        systems.append(own @ np.swapaxes(own, -1, -2) + diagonal)
         right.append(own @ target[..., part, None])
     solved = np.linalg.solve(np.stack(systems, axis=-3), np.stack(right, axis=-3))
     return np.swapaxes(solved[..., 0], -1, -2)
-
-
-def in_order(axes: FloatArray, coefficients: FloatArray) -> Lobes:
-    """The same sums: linear bands not negative, lobes of most energy first."""
-    order = coefficients.shape[-1]
-    linear = coefficients[..., 1:2] if order > 1 else np.zeros_like(coefficients)
-    flip = np.where(linear < 0, -1.0, 1.0)
-    parity = np.where(np.arange(order) % 2 == 1, flip, 1.0)
-    energy = coefficients**2 @ zonal_energy(np.arange(order))
-    largest = np.argsort(-energy, axis=-1, kind="stable")[..., None]
-    return Lobes(
-        np.take_along_axis(axes * flip, largest, axis=-2),
-        np.take_along_axis(coefficients * parity, largest, axis=-2),
-    )
 
 
 def zonal_energy(band: Any) -> Any:

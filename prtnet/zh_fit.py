@@ -1,8 +1,9 @@
-"""Fits of zonal lobes to functions, each by itself.
+"""Fits of zonal lobes to functions, each by itself: from three lights to millions of vectors.
 
-For fixed axes the best coefficients are linear least squares, so a fit searches over axes alone:
-greedily among candidates as in [1, 2], then by BFGS on the axes of all lobes, from several starts
-at once.
+For fixed axes the best coefficients are linear least squares, so a fit searches over axes alone
+(``prtnet.zh_misfit``). It grows: the axis that alone takes most off what is left, among candidates
+and the axis of its linear band [1, section 3.3; 2], then BFGS on the axes of all lobes. Where the
+error stays high, further searches start from random axes [1, section 4.1].
 
 Papers:
     [1] Sloan, Luna and Snyder, "Local, Deformable Precomputed Radiance Transfer", 2005.
@@ -12,50 +13,70 @@ Papers:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from itertools import islice
+from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
+from prtnet.array_library import as_floating
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.bfgs import minimise
-from prtnet.sh import bands, evaluate, fibonacci_hemisphere, gradient, order_of
+from prtnet.cores import core_count
+from prtnet.sh import evaluate, fibonacci_hemisphere, order_of
 from prtnet.zh import (
     RIDGE,
     Lobes,
     best_coefficients,
     checked,
-    in_order,
     relative_error,
     synthesis,
     zonal_energy,
 )
+from prtnet.zh_misfit import Misfit
+from prtnet.zh_order import aligned, in_order
 
-__all__ = ["fewest_lobes", "fit_lobes"]
+__all__ = ["fewest_lobes", "fit_lobes", "follow_lobes"]
 
 CANDIDATES = 1500  # axes tried for a further lobe, as in [2]
 STARTS = 64
-FIRST_ITERATIONS = 20  # from every start; the best KEPT go on
-KEPT = 12
+FIRST_ITERATIONS = 20  # from every random start; the best KEPT go on
+KEPT = 10
 ITERATIONS = 100
 REACH = 0.4  # of a component of an axis in one iteration
 TOLERANCE = 1e-5  # share of the squared error gained in one iteration
-BLOCK = 64  # functions fitted at a time
+APART = 0.9  # the cosine between axes that are not near each other
+BLOCK = 1024  # functions fitted at a time by a thread
+# A fit better than NEAR goes on with a ridge that small functions of lobes do not notice, and is
+# kept if no coefficient is more than LARGEST times its function.
+NEAR = 3e-3
+FINE_RIDGE = 1e-10
+FINE_TOLERANCE = 1e-4
+FINE_ITERATIONS = 300
+EXACT = 1e-7
+LARGEST = 100.0
 
 
-def fit_lobes(target: FloatArray, count: int = 3, starts: int = STARTS) -> Lobes:
+def fit_lobes(
+    target: FloatArray, count: int = 3, starts: int = STARTS, good: float = 0.0, seed: int = 0
+) -> Lobes:
     """The sums of ``count`` lobes nearest to functions, each function by itself.
 
-    Deterministic, and never worse than ``count`` − 1 lobes or than greedy search by more than
-    the ridge. Lobes come in order of energy, largest first; each points to where its linear band
-    is positive, so at a light rather than away from it.
+    Deterministic, and never worse than greedy search by more than the ridge. Lobes come in order
+    of energy, largest first; each points to where its linear band is positive, so at a light
+    rather than away from it. Functions are fitted by blocks, on all cores.
 
     Args:
         target: f, (..., n²): a colour channel each, say.
         count: number of lobes N, at least 1.
-        starts: scattered sets of axes to search from, beside the greedy ones. For lights, the
-            more the safer; for thousands of transfer vectors a few are a matter of time.
+        starts: random sets of axes to search from, beside the greedy ones. For lights, the more
+            the safer; for thousands of transfer vectors a few are a matter of time.
+        good: random starts are for functions whose relative error is above this.
+        seed: of the random starts.
 
     Returns:
         Axes (..., N, 3) and coefficients (..., N, n), in the dtype of ``target``.
@@ -65,127 +86,254 @@ def fit_lobes(target: FloatArray, count: int = 3, starts: int = STARTS) -> Lobes
     """
     if count < 1:
         raise ValueError(f"a fit needs at least one lobe, not {count}")
-    return next(islice(growing_fits(target, starts), count - 1, None))
+    return in_blocks(
+        lambda block: next(islice(Search(block, starts, good, seed).fits(), count - 1, None)),
+        target,
+    )
 
 
 def fewest_lobes(target: FloatArray, most: int, error: float) -> Lobes:
     """The fit of fewest lobes whose ``relative_error`` is at most ``error``.
 
     Args:
-        target: f, (..., n²); all its functions get the same number of lobes.
+        target: f, (..., n²): a few; all its functions get the same number of lobes.
         most: lobes at most; the fit with as many if none is good enough.
         error: the bound, as a fraction.
     """
     if most < 1:
         raise ValueError(f"a fit needs at least one lobe, not {most}")
-    for lobes in islice(growing_fits(target, STARTS), most):
+    values, dtype = checked(target)
+    unit, length = normalised(values.reshape(-1, values.shape[-1]))
+    for found in islice(Search(unit, STARTS).fits(), most):
+        lobes = shaped([scaled(found, length, dtype)], values.shape)
         if relative_error(target, lobes) <= error:
             break
     return lobes
 
 
-def growing_fits(target: FloatArray, starts: int) -> Iterator[Lobes]:
-    """Fits of 1, 2, 3, … lobes; each search also starts from the fit before and a further lobe."""
-    values, dtype = checked(target)
-    order = order_of(values)
-    flat = values.reshape(-1, order * order)
-    largest = np.maximum(np.abs(flat).max(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
-    unit = flat / largest
-    length = np.linalg.norm(unit, axis=-1, keepdims=True)
-    unit /= np.where(length == 0, 1.0, length)
-    searches = [
-        Search(unit[first : first + BLOCK], starts) for first in range(0, max(len(unit), 1), BLOCK)
-    ]
-    while True:
-        axes = np.concatenate([search.grown() for search in searches])
-        lobes = in_order(axes, best_coefficients(evaluate(axes, order), unit))
-        coefficients = lobes.coefficients * (largest * length)[:, None]
-        shape = (*values.shape[:-1], axes.shape[1])
-        yield Lobes(
-            lobes.axes.reshape(*shape, 3).astype(dtype),
-            coefficients.reshape(*shape, order).astype(dtype),
+def follow_lobes(
+    target: FloatArray, previous: Lobes, good: float = math.inf, starts: int = 0
+) -> Lobes:
+    """Fits by searches from the axes of other fits: of the frame before, or of a neighbour.
+
+    Lobe i goes on from lobe i, so that what lies between two frames can be interpolated.
+
+    Args:
+        target: f, (..., n²).
+        previous: as many sums of lobes, (..., N): those of functions not far away.
+        good: functions that end with a relative error above this are also fitted afresh; where
+            that is better, its lobes are taken, in the order that fits ``previous`` best.
+        starts: of the fresh fits, as in ``fit_lobes``.
+
+    Returns:
+        As ``fit_lobes``; lobes in the order of ``previous``.
+    """
+    count = previous.axes.shape[-2]
+    if previous.axes.shape[:-2] != target.shape[:-1]:
+        raise ValueError(
+            f"lobes of {previous.axes.shape[:-2]} functions to follow, not of {target.shape[:-1]}"
         )
+
+    def followed(block: FloatArray, axes: FloatArray) -> Lobes:
+        search = Search(block)
+        lobes = search.finished(search.refined(axes[:, None], ITERATIONS)[0][:, 0])
+        poor = np.flatnonzero(errors(lobes, block) > good)
+        if len(poor) > 0:
+            fits = Search(block[poor], starts, good).fits()
+            fresh = next(islice(fits, count - 1, None))
+            better = errors(fresh, block[poor]) < errors(lobes[poor], block[poor])
+            chosen = poor[better]
+            fresh = aligned(fresh[better], lobes[chosen])
+            lobes.axes[chosen], lobes.coefficients[chosen] = fresh.axes, fresh.coefficients
+        return lobes
+
+    return in_blocks(followed, target, previous.axes.reshape(-1, count, 3))
+
+
+def in_blocks(fit: Callable[..., Lobes], target: FloatArray, *others: FloatArray) -> Lobes:
+    """Fits of functions of any size, by blocks on all cores; blocks see functions of norm 1.
+
+    Args:
+        fit: takes a block (B, n²), and the same rows of the others, and gives its lobes.
+        target: f, (..., n²).
+        others: arrays of a row each function.
+    """
+    given = as_floating(target)
+    flat = given.reshape(-1, order_of(given) ** 2)
+    blocks = [slice(first, first + BLOCK) for first in range(0, max(len(flat), 1), BLOCK)]
+
+    def fitted(block: slice) -> Lobes:
+        unit, length = normalised(checked(flat[block])[0])
+        rest = [other[block].astype(np.float64) for other in others]
+        return scaled(fit(unit, *rest), length, given.dtype)
+
+    if len(blocks) == 1:
+        return shaped([fitted(blocks[0])], given.shape)
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(core_count()) as pool:
+        return shaped(list(pool.map(fitted, blocks)), given.shape)
+
+
+def normalised(functions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Functions (B, n²) over their norms (B, 1), whose squares need not be numbers."""
+    largest = np.maximum(np.abs(functions).max(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
+    unit = functions / largest
+    length = np.linalg.norm(unit, axis=-1, keepdims=True)
+    return unit / np.where(length == 0, 1.0, length), largest * length
+
+
+def scaled(lobes: Lobes, length: FloatArray, dtype: np.dtype[Any]) -> Lobes:
+    """Lobes (B, N) of functions times lengths (B, 1)."""
+    coefficients = lobes.coefficients * length[:, None]
+    return Lobes(lobes.axes.astype(dtype), coefficients.astype(dtype))
+
+
+def shaped(blocks: list[Lobes], shape: tuple[int, ...]) -> Lobes:
+    """Blocks of lobes one after another, in the shape (..., n²) of their functions."""
+    axes = np.concatenate([block.axes for block in blocks])
+    coefficients = np.concatenate([block.coefficients for block in blocks])
+    leading = (*shape[:-1], axes.shape[1])
+    return Lobes(axes.reshape(*leading, 3), coefficients.reshape(*leading, coefficients.shape[-1]))
 
 
 class Search:
-    """The growing fit of a block of unit vectors f, (B, n²)."""
+    """The growing fit of a block of functions f of norm 1 or 0, (B, n²).
 
-    def __init__(self, target: FloatArray, starts: int) -> None:
-        self.target, self.starts = target, starts
+    Attributes:
+        axes: of the best fit so far, (B, N, 3).
+    """
+
+    def __init__(
+        self, target: FloatArray, starts: int = 0, good: float = 0.0, seed: int = 0
+    ) -> None:
+        self.target, self.starts, self.good, self.seed = target, starts, good, seed
         self.order = order_of(target)
+        self.misfit = Misfit(target, RIDGE)
         self.axes: FloatArray = np.empty((len(target), 0, 3))
         self.greedy_axes: FloatArray = self.axes
         self.greedy_rest: FloatArray = target
 
-    def grown(self) -> FloatArray:
-        """The axes (B, N, 3) of the best fit found with one lobe more."""
-        count = self.axes.shape[1] + 1
+    def fits(self) -> Iterator[Lobes]:
+        """Of 1, 2, 3, … lobes; each search also starts from the fit before and a further lobe."""
+        while True:
+            self.grow()
+            yield in_order(self.finished(self.axes))
+
+    def grow(self) -> None:
+        """Search for a fit of one lobe more."""
         basis = evaluate(self.axes, self.order)
         rest = self.target - synthesis(basis, best_coefficients(basis, self.target))
-        starts = [self.extended(self.axes, rest)]
-        self.greedy_axes = self.extended(self.greedy_axes, self.greedy_rest)
-        last = evaluate(self.greedy_axes[:, -1:], self.order)
+        first = self.candidate(rest)
+        starts = [np.concatenate([self.axes, first[:, None]], axis=1)]
+        greedy = self.candidate(self.greedy_rest)
+        self.greedy_axes = np.concatenate([self.greedy_axes, greedy[:, None]], axis=1)
+        last = evaluate(greedy[:, None], self.order)
         self.greedy_rest = self.greedy_rest - synthesis(
             last, best_coefficients(last, self.greedy_rest)
         )
-        if count > 1:  # the candidates have seen the whole sphere for a single lobe
-            scattered = np.random.default_rng(count).normal(size=(self.starts, count, 3))
-            starts += [
-                self.greedy_axes,
-                *np.broadcast_to(scattered[:, None], (self.starts, len(self.target), count, 3)),
-            ]
-        axes = np.stack(starts, axis=1)  # [B, S, N, 3]
-        if axes.shape[1] > KEPT:
-            axes = self.refined(axes, FIRST_ITERATIONS)[:, :KEPT]
-        self.axes = self.refined(axes, ITERATIONS)[:, 0]
-        return self.axes
+        count = self.greedy_axes.shape[1]
+        # A single lobe: the two best of the whole sphere. More: the greedy ones.
+        starts.append(self.greedy_axes if count > 1 else self.candidate(rest, first)[:, None])
+        axes, values = self.refined(np.stack(starts, axis=1), ITERATIONS)
+        self.axes = axes[:, 0]
+        poor = np.flatnonzero(values[:, 0] > self.good**2)
+        # The candidates have seen the whole sphere for a single lobe.
+        if count > 1 and self.starts > 0 and len(poor) > 0:
+            self.search_on(poor, values[poor, 0])
 
-    def extended(self, axes: FloatArray, rest: FloatArray) -> FloatArray:
-        """The axes (B, N, 3) and the candidate that alone takes most off the rest (B, n²)."""
+    def search_on(self, poor: IntArray, values: FloatArray) -> None:
+        """Search from random axes for fits of some functions that are better than ``values``."""
+        count = self.axes.shape[1]
+        scattered = np.random.default_rng((self.seed, count)).normal(size=(self.starts, count, 3))
+        axes: FloatArray = np.broadcast_to(scattered, (len(poor), *scattered.shape))
+        if self.starts > KEPT:
+            axes = self.refined(axes, FIRST_ITERATIONS, poor)[0][:, :KEPT]
+        axes, found = self.refined(axes, ITERATIONS, poor)
+        better = found[:, 0] < values
+        self.axes[poor[better]] = axes[better, 0]
+
+    def candidate(self, rest: FloatArray, apart: FloatArray | None = None) -> FloatArray:
+        """The axes (B, 3) of the lobe that alone takes most off the rest (B, n²).
+
+        Not near ``apart`` (B, 3) nor its opposite, if given.
+        """
         candidates, basis = axis_candidates(self.order)
         energy: FloatArray = np.zeros((len(rest), len(candidates)))
-        for band in range(self.order):
+        for band in range(1, self.order):
             part = slice(band * band, (band + 1) ** 2)
-            energy += (rest[:, part] @ basis[:, part].T) ** 2 / zonal_energy(band)
-        return np.concatenate([axes, candidates[energy.argmax(axis=-1)][:, None]], axis=1)
+            energy += np.square(rest[:, part] @ basis[:, part].T) / zonal_energy(band)
+        if apart is not None:
+            energy[np.abs(apart @ candidates.T) > APART] = -1.0
+        chosen = candidates[energy.argmax(axis=-1)]
+        if apart is not None or self.order == 1:
+            return chosen
+        linear = linear_axes(rest)
+        own = rest * evaluate(linear, self.order)
+        sums = np.add.reduceat(own, np.arange(self.order) ** 2, axis=-1)[:, 1:]
+        share = (np.square(sums) / zonal_energy(np.arange(1, self.order))).sum(axis=-1)
+        return np.where((share > energy.max(axis=-1))[:, None], linear, chosen)
 
-    def refined(self, axes: FloatArray, iterations: int) -> FloatArray:
-        """Sets of axes (B, S, N, 3) after a search from each, the best first."""
+    def refined(
+        self, axes: FloatArray, iterations: int, which: IntArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Sets of axes after a search from each, the best first, and the objective there.
+
+        Args:
+            axes: (B, S, N, 3).
+            iterations: of BFGS.
+            which: functions (B,) that they are of; all when None.
+        """
         shape = axes.shape
-        target = np.repeat(self.target, shape[1], axis=0)
+        functions = np.repeat(np.arange(len(axes)) if which is None else which, shape[1])
+        columns = np.ascontiguousarray(axes.reshape(-1, *shape[2:]).transpose(2, 1, 0))
+        points, values = minimise(
+            lambda asked, at: self.misfit(functions[asked], at),
+            columns.reshape(3 * shape[2], -1), iterations, REACH, TOLERANCE,
+        )  # fmt: skip
+        return ranked(points, values, shape)
 
-        def objective(which: IntArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-            value, slope = misfit(target[which], points.reshape(-1, *shape[2:]))
-            return value, slope.reshape(points.shape)
+    def finished(self, axes: FloatArray) -> Lobes:
+        """The lobes (B, N) about axes (B, N, 3), which move a little where the fit is near."""
+        coefficients = best_coefficients(evaluate(axes, self.order), self.target)
+        lobes = Lobes(np.array(axes), coefficients)
+        near = np.flatnonzero(errors(lobes, self.target) < NEAR)
+        if len(near) > 0 and self.order > 1:
+            fine = Misfit(self.target[near], FINE_RIDGE)
+            columns = np.ascontiguousarray(axes[near].transpose(2, 1, 0))
+            points, values = minimise(
+                fine, columns.reshape(3 * axes.shape[1], -1), FINE_ITERATIONS, REACH,
+                FINE_TOLERANCE, EXACT**2,
+            )  # fmt: skip
+            moved = ranked(points, values, (len(near), 1, *axes.shape[1:]))[0][:, 0]
+            basis = evaluate(moved, self.order)
+            exact = best_coefficients(basis, self.target[near], FINE_RIDGE)
+            kept = np.abs(exact).max(axis=(1, 2)) <= LARGEST
+            lobes.axes[near[kept]] = moved[kept]
+            lobes.coefficients[near[kept]] = exact[kept]
+        return lobes
 
-        flat = axes.reshape(-1, 3 * shape[2])
-        points, values = minimise(objective, flat, iterations, REACH, TOLERANCE)
-        best = values.reshape(shape[:2]).argsort(axis=1, kind="stable")
-        points = np.take_along_axis(points.reshape(shape), best[:, :, None, None], axis=1)
-        return np.asarray(points / np.linalg.norm(points, axis=-1, keepdims=True))
+
+def ranked(
+    points: FloatArray, values: FloatArray, shape: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Columns (3N, B S) as sets of unit axes (B, S, N, 3), the best first, and their values."""
+    values = values.reshape(shape[:2])
+    best = values.argsort(axis=1, kind="stable")
+    axes = points.reshape(3, shape[2], -1).transpose(2, 1, 0).reshape(shape)
+    axes = np.take_along_axis(axes, best[:, :, None, None], axis=1)
+    axes = axes / np.linalg.norm(axes, axis=-1, keepdims=True)
+    return axes, np.take_along_axis(values, best, axis=1)
 
 
-def misfit(target: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The objective ‖f̃ − f‖² + ε‖g*‖² at the best coefficients, and its gradient.
+def errors(lobes: Lobes, target: FloatArray) -> FloatArray:
+    """‖f̃ − f‖, (B,)."""
+    return np.asarray(np.linalg.norm(lobes.harmonics() - target, axis=-1))
 
-    At the best coefficients its derivatives by them vanish, so those of the axes are all there
-    are: 2 Σ_lm ∇(y_lm ∘ h) g*_l (f̃ − f)_lm [1, eq. 20–21].
 
-    Args:
-        target: f, (B, n²).
-        axes: vectors of any length, (B, N, 3).
-
-    Returns:
-        (B,) and (B, N, 3).
-    """
-    order = order_of(target)
-    basis = evaluate(axes / np.linalg.norm(axes, axis=-1, keepdims=True), order)
-    coefficients = best_coefficients(basis, target)
-    missed = synthesis(basis, coefficients) - target
-    size = (coefficients**2 @ zonal_energy(np.arange(order))).sum(axis=-1)
-    value = (missed**2).sum(axis=-1) + RIDGE * size
-    weight = 2.0 * coefficients[..., bands(order)] * missed[:, None]  # [B, N, n²]
-    return value, (weight[..., None, :] @ gradient(axes, order))[..., 0, :]
+def linear_axes(target: FloatArray) -> FloatArray:
+    """Axes (B, 3) of the linear bands of functions (B, n²) [1, section 3.3]; +z without one."""
+    axis = target[:, [3, 1, 2]] * np.array([-1.0, -1.0, 1.0])
+    length = np.linalg.norm(axis, axis=-1, keepdims=True)
+    return np.where(length > 0, axis / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
 
 
 @lru_cache

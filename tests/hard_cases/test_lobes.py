@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from prtnet import sh
 from prtnet.sh_rotation import rotate
-from prtnet.zh import Lobes, best_coefficients, exact_lobes, relative_error
-from prtnet.zh_fit import fewest_lobes, fit_lobes, misfit
+from prtnet.zh import RIDGE, Lobes, best_coefficients, exact_lobes, relative_error
+from prtnet.zh_fit import fewest_lobes, fit_lobes
+from prtnet.zh_misfit import Misfit
 
 POLES = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
 SHAPE = np.array([0.7, 1.1, 0.4, -0.3])
@@ -46,7 +47,7 @@ def test_equal_axes_share_their_coefficients(count):
     target = Lobes(axes[:1], SHAPE[None]).harmonics()
     coefficients = best_coefficients(sh.evaluate(axes, 4), target)
     np.testing.assert_allclose(coefficients, np.tile(SHAPE / count, (count, 1)), atol=1e-5)
-    value, slope = misfit(target[None], axes[None])
+    value, slope = Misfit(target[None], RIDGE)(np.arange(1), axes.T.reshape(-1, 1))
     assert value < 1e-5
     assert np.isfinite(slope).all()
 
