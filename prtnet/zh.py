@@ -28,9 +28,13 @@ from prtnet.sh_rotation import band_inverses, checked_rotation, sample_direction
 __all__ = [
     "RIDGE",
     "Lobes",
+    "LobesApart",
+    "apart",
+    "bands_apart",
     "best_coefficients",
     "checked",
     "exact_lobes",
+    "linear_axis",
     "relative_error",
     "synthesis",
     "zonal_energy",
@@ -74,6 +78,65 @@ class Lobes:
         leading = np.broadcast_shapes(turned.shape[:-2], self.coefficients.shape[:-2])
         shape = (*leading, *self.coefficients.shape[-2:])
         return Lobes(turned, np.broadcast_to(self.coefficients, shape))
+
+
+@dataclass(frozen=True)
+class LobesApart:
+    """Sums of N zonal lobes with their lowest bands stored as they are [1, section 3.3].
+
+    The first band needs no axis; of three lobes or more neither does the linear band, which any
+    three of them hold: stored apart it is exact, and interpolates.
+
+    Attributes:
+        low: coefficients of the first two bands, (..., 4); of one or two lobes only the first is
+            stored here, and the others are zero.
+        lobes: sums whose coefficients of the bands stored apart are zero.
+    """
+
+    low: FloatArray
+    lobes: Lobes
+
+    def harmonics(self) -> FloatArray:
+        """The coefficients of the sum, (..., n²)."""
+        result = self.lobes.harmonics()
+        stored = min(result.shape[-1], 4)
+        result[..., :stored] += self.low[..., :stored]
+        return result
+
+    def rotated(self, rotation: FloatArray) -> LobesApart:
+        """Those of f(R⁻¹ s); arguments and errors as ``Lobes.rotated``."""
+        lobes = self.lobes.rotated(rotation)
+        low = np.broadcast_to(self.low, (*lobes.axes.shape[:-2], 4)).copy()
+        axis = linear_axis(low)
+        turned = np.squeeze(axis[..., None, :] @ np.swapaxes(rotation, -1, -2), axis=-2)
+        low[..., 1:] = turned[..., [1, 2, 0]] * np.array([-1.0, 1.0, -1.0])
+        return LobesApart(low, lobes)
+
+
+def apart(target: FloatArray, lobes: Lobes) -> LobesApart:
+    """A fit with the bands apart that its number of lobes asks for, taken from its target.
+
+    Args:
+        target: f, (..., n²).
+        lobes: fitted to it, (..., N).
+    """
+    first = bands_apart(lobes.axes.shape[-2])
+    low = np.zeros((*target.shape[:-1], 4), dtype=lobes.coefficients.dtype)
+    stored = min(first * first, target.shape[-1])
+    low[..., :stored] = target[..., :stored]
+    coefficients = lobes.coefficients.copy()
+    coefficients[..., :first] = 0.0
+    return LobesApart(low, Lobes(lobes.axes, coefficients))
+
+
+def bands_apart(count: int) -> int:
+    """How many bands are stored apart from so many lobes."""
+    return 2 if count >= 3 else 1
+
+
+def linear_axis(target: FloatArray) -> FloatArray:
+    """The axis of linear bands (..., 4 or more), as long as they are, (..., 3)."""
+    return np.asarray(target[..., [3, 1, 2]] * np.array([-1.0, -1.0, 1.0]))
 
 
 def synthesis(basis: FloatArray, coefficients: FloatArray) -> FloatArray:

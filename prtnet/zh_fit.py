@@ -33,6 +33,7 @@ from prtnet.zh import (
     Lobes,
     best_coefficients,
     checked,
+    linear_axis,
     relative_error,
     synthesis,
     zonal_energy,
@@ -40,12 +41,13 @@ from prtnet.zh import (
 from prtnet.zh_misfit import Misfit
 from prtnet.zh_order import aligned, in_order
 
-__all__ = ["fewest_lobes", "fit_lobes", "follow_lobes"]
+__all__ = ["fewest_lobes", "fit_lobes", "follow_lobes", "linear_axes"]
 
 CANDIDATES = 1500  # axes tried for a further lobe, as in [2]
 STARTS = 64
-FIRST_ITERATIONS = 20  # from every random start; the best KEPT go on
-KEPT = 10
+FIRST_ITERATIONS = 20  # from every random start; this share, the best, goes on
+KEPT = 0.2
+LEAST_KEPT = 8
 ITERATIONS = 100
 REACH = 0.4  # of a component of an axis in one iteration
 TOLERANCE = 1e-5  # share of the squared error gained in one iteration
@@ -245,8 +247,9 @@ class Search:
         count = self.axes.shape[1]
         scattered = np.random.default_rng((self.seed, count)).normal(size=(self.starts, count, 3))
         axes: FloatArray = np.broadcast_to(scattered, (len(poor), *scattered.shape))
-        if self.starts > KEPT:
-            axes = self.refined(axes, FIRST_ITERATIONS, poor)[0][:, :KEPT]
+        kept = max(LEAST_KEPT, int(KEPT * self.starts))
+        if self.starts > kept:
+            axes = self.refined(axes, FIRST_ITERATIONS, poor)[0][:, :kept]
         axes, found = self.refined(axes, ITERATIONS, poor)
         better = found[:, 0] < values
         self.axes[poor[better]] = axes[better, 0]
@@ -331,9 +334,12 @@ def errors(lobes: Lobes, target: FloatArray) -> FloatArray:
 
 def linear_axes(target: FloatArray) -> FloatArray:
     """Axes (B, 3) of the linear bands of functions (B, n²) [1, section 3.3]; +z without one."""
-    axis = target[:, [3, 1, 2]] * np.array([-1.0, -1.0, 1.0])
+    pole = np.array([0.0, 0.0, 1.0])
+    if target.shape[-1] < 4:
+        return np.tile(pole, (len(target), 1))
+    axis = linear_axis(target)
     length = np.linalg.norm(axis, axis=-1, keepdims=True)
-    return np.where(length > 0, axis / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
+    return np.where(length > 0, axis / np.where(length > 0, length, 1.0), pole)
 
 
 @lru_cache

@@ -26,7 +26,7 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.sh import order_of, polynomial
 from prtnet.zh import zonal_energy
 
-__all__ = ["Misfit"]
+__all__ = ["BandValues", "Cosines", "Misfit", "parts_of"]
 
 
 class Misfit:
@@ -44,11 +44,7 @@ class Misfit:
         self.ridge = ridge
         rest = np.ascontiguousarray(target[:, 1:].T)
         self.size = (rest * rest).sum(axis=0)
-        # Coefficients of one |m|, bands |m| and up: [bands, 2 (m, −m), B].
-        self.parts = [
-            np.stack([target[:, [b * b + b + m, b * b + b - m]].T for b in bands_of(m, self.order)])
-            for m in range(self.order if self.order > 1 else 0)
-        ]
+        self.parts = parts_of(target)
         self.energy = zonal_energy(np.arange(1, self.order))[:, None, None]
 
     def __call__(self, which: IntArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -73,8 +69,21 @@ class Misfit:
         return left, slope.reshape(points.shape)
 
 
+def parts_of(target: FloatArray) -> list[FloatArray]:
+    """Functions (B, n²) without their first band, for every |m|: (bands from |m|, 2 (m, −m), B)."""
+    order = order_of(target)
+    return [
+        np.stack([target[:, [b * b + b + m, b * b + b - m]].T for b in bands_of(m, order)])
+        for m in range(order if order > 1 else 0)
+    ]
+
+
 class BandValues:
-    """The bands of functions at axes, f_l(a), from the first band up to the last.
+    """The bands of functions at axes, f_l(a), without the first.
+
+    Args:
+        unit: axes (3, N, K).
+        parts: the functions, as ``parts_of`` gives them.
 
     Attributes:
         bands: values (n − 1, N, K).
@@ -121,7 +130,11 @@ class BandValues:
 
 
 class Cosines:
-    """Legendre polynomials of the cosines between axes.
+    """Legendre polynomials of the cosines between axes, without the first.
+
+    Args:
+        unit: axes (3, N, K).
+        order: number of bands n.
 
     Attributes:
         kernel: P_l(a_i · a_j) by pairs i < j, (n − 1, K) each.
@@ -138,6 +151,14 @@ class Cosines:
         table = (legendre(order) @ powers(t, order).reshape(order, -1)).reshape(shape)
         self.kernel = {pair: table[0, :, k] for k, pair in enumerate(self.pairs)}
         self.bend = table[1]
+
+    def times(self, g: FloatArray) -> FloatArray:
+        """Σ_j P_l(a_i · a_j) g_jl, (n − 1, N, K)."""
+        result = g.copy()
+        for (i, j), kernel in self.kernel.items():
+            result[:, i] += kernel * g[:, j]
+            result[:, j] += kernel * g[:, i]
+        return result
 
     def slope(self, g: FloatArray, energy: FloatArray) -> FloatArray:
         """Σ_l (2l + 1)/4π Σ_j g_il g_jl P_l′(a_i · a_j) a_j, (3, N, K), but for j = i."""

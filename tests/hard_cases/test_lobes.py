@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 from prtnet import sh
 from prtnet.sh_rotation import rotate
 from prtnet.zh import RIDGE, Lobes, best_coefficients, exact_lobes, relative_error
-from prtnet.zh_fit import fewest_lobes, fit_lobes
+from prtnet.zh_fit import fewest_lobes, fit_lobes, follow_lobes
 from prtnet.zh_misfit import Misfit
+from prtnet.zh_order import aligned
+from prtnet.zh_surface import bilinear, coherent_lobes, interpolated
 
 POLES = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
 SHAPE = np.array([0.7, 1.1, 0.4, -0.3])
@@ -140,3 +142,121 @@ def test_exact_lobes_turn_exactly():
     for turn in (*Rotation.random(3, rng=0).as_matrix(), np.diag([1.0, -1, -1])):
         turned = exact_lobes(target).rotated(turn).harmonics()
         np.testing.assert_allclose(turned, rotate(target, turn), atol=1e-10)
+
+
+def planted(seed: int, count: int, order: int) -> np.ndarray:
+    """A sum of lobes about axes that are 45° apart or more, opposites being the same."""
+    rng = np.random.default_rng(seed)
+    while True:
+        axes = rng.normal(size=(count, 3))
+        axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+        if np.abs(np.triu(axes @ axes.T, 1)).max() < math.sqrt(0.5):
+            return Lobes(axes, rng.normal(size=(count, order))).harmonics()
+
+
+@pytest.mark.parametrize("order", [4, 6])
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_planted_lobes_come_back_as_a_function(count, order):
+    target = np.stack([planted(seed, count, order) for seed in range(4)])
+    fit = fit_lobes(target, count, starts=256 if count == 4 else 64)  # there are local minima
+    for function, lobes in zip(target, fit.harmonics(), strict=True):
+        assert np.linalg.norm(lobes - function) < 1e-5 * np.linalg.norm(function)
+    assert np.abs(fit.coefficients).max() < 100 * np.linalg.norm(target, axis=-1).max()
+
+
+def test_two_lobes_that_merge_are_followed_into_one():
+    shapes = np.stack([SHAPE, [0.2, 0.9, -0.8, 0.5]])
+    lobes = None
+    for angle in (*np.linspace(1.0, 0.0, 21), *np.linspace(0.0, 1.0, 21)[1:]):
+        axes = np.array([[math.sin(angle), 0, math.cos(angle)], [0.0, 0.0, 1.0]])
+        target = Lobes(axes, shapes).harmonics()[None]
+        lobes = fit_lobes(target, 2) if lobes is None else follow_lobes(target, lobes)
+        assert relative_error(target, lobes) < 2e-3
+        assert np.abs(lobes.coefficients).max() < 100
+    assert relative_error(target, lobes) < 1e-5  # parted again
+
+
+def test_following_nothing_leaves_axes_where_they_are():
+    before = Lobes(np.tile(POLES, (3, 1, 1)), np.ones((3, 2, 4)))
+    lobes = follow_lobes(np.zeros((3, 16)), before)
+    np.testing.assert_array_equal(lobes.axes, before.axes)
+    assert (lobes.coefficients == 0).all()
+    assert follow_lobes(np.zeros((0, 16)), before[:0]).axes.shape == (0, 2, 3)
+    dark = Lobes(before.axes, 0 * before.coefficients)
+    np.testing.assert_array_equal(aligned(dark, before).axes, before.axes)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_a_linear_function_is_one_lobe(count):
+    target = np.zeros(25)
+    target[1:4] = [0.3, -0.2, 0.9]
+    fit = fit_lobes(target, count)
+    assert relative_error(target, fit) < 1e-5
+    if count == 1:
+        axis = np.array([-target[3], -target[1], target[2]])
+        np.testing.assert_allclose(fit.axes[0], axis / np.linalg.norm(axis), atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_even_bands_alone_are_fitted_as_functions(count):
+    shapes = np.random.default_rng(count).normal(size=(count, 5)) * [1, 0, 1, 0, 1]
+    axes = Rotation.random(rng=3).as_matrix()[:count]
+    target = Lobes(axes, shapes).harmonics()
+    assert relative_error(target, fit_lobes(target, count)) < 1e-5
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-6, 1e-3])
+def test_systems_that_are_nearly_singular_give_numbers(angle):
+    axes = np.array([[0.0, 0, 1], [math.sin(angle), 0, math.cos(angle)], [0, 0, -1], [1, 0, 0]])
+    target = np.random.default_rng(0).normal(size=(1, 36))
+    for ridge in (RIDGE, 1e-10):
+        value, slope = Misfit(target, ridge)(np.arange(1), axes.T.reshape(-1, 1))
+        assert 0 < value[0] < np.square(target).sum()
+        assert np.isfinite(slope).all()
+    lobes = follow_lobes(target, Lobes(axes[None], np.zeros((1, 4, 6))))
+    assert relative_error(target, lobes) < 0.7
+    assert np.abs(lobes.coefficients).max() < 1000 * np.linalg.norm(target)
+
+
+def flat_texture(size: int, order: int) -> np.ndarray:
+    """The transfer of a plane that nothing shades at every texel, (size, size, n²)."""
+    cosine = sh.project_function(lambda s: np.maximum(s[:, 2], 0.0) / math.pi, order)
+    return np.tile(cosine, (size, size, 1))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_flat_patch_is_the_same_everywhere(count):
+    target = flat_texture(7, 6).reshape(-1, 36)
+    weights = bilinear((7, 7), (4, 4))
+    found = coherent_lobes(target, weights, count)
+    np.testing.assert_allclose(interpolated(found, weights).harmonics(), target, atol=2e-4)
+    axes = found.lobes.axes
+    np.testing.assert_allclose(axes, np.broadcast_to(axes[0], axes.shape), atol=1e-3)
+    dark = coherent_lobes(0.0 * target, weights, count)
+    assert (dark.harmonics() == 0).all()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_one_pit_of_infinite_depth(count):
+    texture = flat_texture(9, 6)
+    texture[4, 4] = 0.0  # its bottom sees nothing
+    target, weights = texture.reshape(-1, 36), bilinear((9, 9), (9, 9))
+    found = interpolated(coherent_lobes(target, weights, count), weights)
+    missed = np.linalg.norm(found.harmonics() - target, axis=-1)
+    np.testing.assert_allclose(missed, 0, atol=1e-3 * np.linalg.norm(target[0]))
+    # What lies between a texel and the pit is between the two.
+    fine = bilinear((17, 17), (9, 9))
+    between = interpolated(coherent_lobes(fine @ target, fine, count), fine).harmonics()
+    np.testing.assert_allclose(between, fine @ target, atol=2e-3)
+
+
+def test_a_texture_of_a_constant_or_a_single_texel():
+    weights = bilinear((3, 3), (2, 2))
+    for order in (1, 2, 4):
+        target = np.zeros((9, order * order))
+        target[:, 0] = 2.0
+        found = interpolated(coherent_lobes(target, weights, 3), weights)
+        np.testing.assert_allclose(found.harmonics(), target, atol=1e-5)
+    one = np.random.default_rng(0).normal(size=(1, 16))
+    found = coherent_lobes(one, bilinear((1, 1), (1, 1)), 4)
+    assert np.linalg.norm(found.harmonics() - one) < 0.1 * np.linalg.norm(one)

@@ -12,8 +12,8 @@ from prtnet import sh
 from prtnet.light import load_light
 from prtnet.presets import PRESETS
 from prtnet.sh_rotation import rotate
-from prtnet.zh import Lobes, exact_lobes, relative_error
-from prtnet.zh_fit import fewest_lobes, fit_lobes
+from prtnet.zh import Lobes, apart, exact_lobes, relative_error
+from prtnet.zh_fit import fewest_lobes, fit_lobes, follow_lobes
 
 # Errors under this are the ridge's, or of lobes that meet: the search ends in a flat valley.
 FLOOR = 3e-4
@@ -156,11 +156,101 @@ def test_further_starts_only_help():
     assert errors[1] > errors[2] + 1e-3
 
 
+def test_further_starts_are_for_the_poor_ones():
+    target = np.random.default_rng(11).normal(size=(40, 25))
+    norm = np.linalg.norm(target, axis=-1)
+    few, all_of_them = fit_lobes(target, 2, 0), fit_lobes(target, 2, 16)
+    error = np.linalg.norm(few.harmonics() - target, axis=-1) / norm
+    bound = float(np.median(error))
+    some = fit_lobes(target, 2, 16, good=bound)
+    good = error < bound
+    np.testing.assert_allclose(some.harmonics()[good], few.harmonics()[good], atol=1e-6)
+    np.testing.assert_allclose(some.harmonics()[~good], all_of_them.harmonics()[~good], atol=1e-6)
+    assert relative_error(target, some) < relative_error(target, few) - 1e-3
+
+
+def test_the_seed_is_that_of_the_starts():
+    target = np.random.default_rng(12).normal(size=(20, 25))
+    one, again, other = (fit_lobes(target, 3, 2, seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.axes, again.axes)
+    assert np.abs(one.axes - other.axes).max() > 0.1
+
+
+def test_lobes_follow_a_function_that_turns():
+    rng = np.random.default_rng(13)
+    target = random_lobes(rng, 2, 4).harmonics()[None]
+    first = fit_lobes(target, 2)
+    step = Rotation.from_rotvec([0.05, -0.02, 0.03]).as_matrix()
+    lobes, turned = first, first
+    for _ in range(20):
+        target, turned = rotate(target, step), turned.rotated(step)
+        lobes = follow_lobes(target, lobes)
+        np.testing.assert_allclose(lobes.axes, turned.axes, atol=1e-3)
+    np.testing.assert_allclose(lobes.coefficients, first.coefficients, atol=1e-3)
+
+
+def test_what_was_followed_too_far_is_fitted_afresh():
+    rng = np.random.default_rng(14)
+    target = rng.normal(size=(30, 25))
+    away = Lobes(np.tile(fit_lobes(target[0], 3).axes, (30, 1, 1)), np.zeros((30, 3, 5)))
+    followed, fresh = follow_lobes(target, away), fit_lobes(target, 3, 8)
+    assert relative_error(target, followed) > relative_error(target, fresh) + 0.01
+    both = follow_lobes(target, away, good=0.3, starts=8)
+    errors = [
+        np.linalg.norm(lobes.harmonics() - target, axis=-1) / np.linalg.norm(target, axis=-1)
+        for lobes in (followed, both)
+    ]
+    good = errors[0] <= 0.3
+    np.testing.assert_array_equal(both.axes[good], followed.axes[good])
+    assert (errors[1] <= errors[0] + 1e-9).all()
+    assert (errors[1] < errors[0] - 1e-3).sum() > 5
+    # In the order, and to the side, of those before.
+    moved = np.flatnonzero(errors[1] < errors[0] - 1e-3)
+    assert ((both.axes * followed.axes).sum(axis=-1)[moved] >= 0).all()
+
+
+def test_lobes_to_follow_are_as_many_as_functions():
+    lobes = random_lobes(np.random.default_rng(0), 2, 4)
+    with pytest.raises(ValueError, match="lobes of"):
+        follow_lobes(np.zeros((3, 16)), lobes)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+def test_bands_stored_apart_are_exact(count):
+    rng = np.random.default_rng(15)
+    target = rng.normal(size=(2, 4, 25)).astype(np.float32)
+    fit = fit_lobes(target, count, 0)
+    split = apart(target, fit)
+    first = 2 if count >= 3 else 1
+    assert split.low.shape == (2, 4, 4)
+    assert split.low.dtype == np.float32
+    np.testing.assert_array_equal(split.low[..., : first**2], target[..., : first**2])
+    assert (split.low[..., first**2 :] == 0).all()
+    assert (split.lobes.coefficients[..., :first] == 0).all()
+    np.testing.assert_allclose(split.harmonics(), fit.harmonics(), atol=1e-3)
+    misses = (np.linalg.norm(each.harmonics() - target) for each in (split, fit))
+    assert next(misses) <= next(misses) + 1e-6
+    turn = Rotation.random(4, rng=rng).as_matrix()
+    expected = rotate(split.harmonics(), np.broadcast_to(turn, (2, 4, 3, 3)))
+    np.testing.assert_allclose(split.rotated(turn).harmonics(), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_low_orders_may_be_all_apart(order):
+    target = np.random.default_rng(16).normal(size=(3, order * order))
+    split = apart(target, fit_lobes(target, 3, 0))
+    np.testing.assert_allclose(split.harmonics(), target, atol=1e-12)
+
+
 def test_a_fit_in_blocks_is_the_same(monkeypatch):
     target = np.random.default_rng(2).normal(size=(5, 9))
     whole = fit_lobes(target, 2)
     monkeypatch.setattr("prtnet.zh_fit.BLOCK", 2)
     np.testing.assert_allclose(fit_lobes(target, 2).axes, whole.axes, atol=1e-6)
+    before = Lobes(whole.axes + 0.01, whole.coefficients)
+    followed = follow_lobes(target, before)
+    monkeypatch.undo()
+    np.testing.assert_allclose(follow_lobes(target, before).axes, followed.axes, atol=1e-6)
 
 
 def test_the_same_fit_every_time_in_the_dtype_given():
