@@ -13,7 +13,7 @@ from prtnet.light import load_light
 from prtnet.presets import PRESETS
 from prtnet.sh_rotation import rotate
 from prtnet.zh import Lobes, apart, exact_lobes, relative_error
-from prtnet.zh_fit import fewest_lobes, fit_lobes, follow_lobes
+from prtnet.zh_fit import Search, fewest_lobes, fit_lobes, follow_lobes
 
 # Errors under this are the ridge's, or of lobes that meet: the search ends in a flat valley.
 FLOOR = 3e-4
@@ -167,6 +167,16 @@ def test_further_starts_are_for_the_poor_ones():
     np.testing.assert_allclose(some.harmonics()[good], few.harmonics()[good], atol=1e-6)
     np.testing.assert_allclose(some.harmonics()[~good], all_of_them.harmonics()[~good], atol=1e-6)
     assert relative_error(target, some) < relative_error(target, few) - 1e-3
+
+
+def test_the_axis_of_a_linear_band_is_a_candidate():
+    target = np.zeros((5, 16))
+    target[:, 1:4] = np.random.default_rng(3).normal(size=(5, 3))
+    axes = target[:, [3, 1, 2]] * [-1, -1, 1] / np.linalg.norm(target, axis=-1, keepdims=True)
+    found = Search(target).candidate(target)
+    np.testing.assert_allclose(np.abs((found * axes).sum(axis=-1)), 1, atol=1e-12)
+    other = Search(target).candidate(target, found)
+    assert (np.abs((found * other).sum(axis=-1)) <= 0.9).all()
 
 
 def test_the_seed_is_that_of_the_starts():
