@@ -14,10 +14,9 @@ Papers:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -88,10 +87,7 @@ def fit_lobes(
     """
     if count < 1:
         raise ValueError(f"a fit needs at least one lobe, not {count}")
-    return in_blocks(
-        lambda block: next(islice(Search(block, starts, good, seed).fits(), count - 1, None)),
-        target,
-    )
+    return in_blocks(lambda block: Search(block, starts, good, seed).fit(count), target)
 
 
 def fewest_lobes(target: FloatArray, most: int, error: float) -> Lobes:
@@ -106,8 +102,9 @@ def fewest_lobes(target: FloatArray, most: int, error: float) -> Lobes:
         raise ValueError(f"a fit needs at least one lobe, not {most}")
     values, dtype = checked(target)
     unit, length = normalised(values.reshape(-1, values.shape[-1]))
-    for found in islice(Search(unit, STARTS).fits(), most):
-        lobes = shaped([scaled(found, length, dtype)], values.shape)
+    search = Search(unit, STARTS)
+    for count in range(1, most + 1):
+        lobes = shaped([scaled(search.fit(count), length, dtype)], values.shape)
         if relative_error(target, lobes) <= error:
             break
     return lobes
@@ -141,8 +138,7 @@ def follow_lobes(
         lobes = search.finished(search.refined(axes[:, None], ITERATIONS)[0][:, 0])
         poor = np.flatnonzero(errors(lobes, block) > good)
         if len(poor) > 0:
-            fits = Search(block[poor], starts, good).fits()
-            fresh = next(islice(fits, count - 1, None))
+            fresh = Search(block[poor], starts, good).fit(count)
             better = errors(fresh, block[poor]) < errors(lobes[poor], block[poor])
             chosen = poor[better]
             fresh = aligned(fresh[better], lobes[chosen])
@@ -214,14 +210,14 @@ class Search:
         self.greedy_axes: FloatArray = self.axes
         self.greedy_rest: FloatArray = target
 
-    def fits(self) -> Iterator[Lobes]:
-        """Of 1, 2, 3, … lobes; each search also starts from the fit before and a further lobe."""
-        while True:
+    def fit(self, count: int) -> Lobes:
+        """Grow to ``count`` lobes, at least as many as there are."""
+        while self.axes.shape[1] < count:
             self.grow()
-            yield in_order(self.finished(self.axes))
+        return in_order(self.finished(self.axes))
 
     def grow(self) -> None:
-        """Search for a fit of one lobe more."""
+        """Search for a fit of one lobe more: from the fit before and a further lobe, and anew."""
         basis = evaluate(self.axes, self.order)
         rest = self.target - synthesis(basis, best_coefficients(basis, self.target))
         first = self.candidate(rest)
