@@ -21,7 +21,8 @@ from prtnet.materials import brdf_named, material
 from prtnet.model import VisibilityModel
 from prtnet.modelled_scene import ModelledScene
 from prtnet.reflection import ReflectionOperator
-from prtnet.zh import Lobes, fit_lobes
+from prtnet.zh import Lobes
+from prtnet.zh_fit import fit_lobes
 from runtime.camera import Camera
 from runtime.gl import create_context
 from runtime.onnx_model import OnnxModel
