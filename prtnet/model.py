@@ -9,26 +9,23 @@ as one batch; latents are counted cluster by cluster.
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import safetensors.numpy
 
 from prtnet import sh
+from prtnet.array_file import MODEL, read_arrays, write_arrays
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.components import Coding, coding, leading_bits
 from prtnet.errors import PrtnetError
 from prtnet.features import Features, features_from_arrays
-from prtnet.files import writing
 from prtnet.model_file import (
     ARRAYS,
     check_shapes,
     flattened,
-    read,
     read_prior,
     restored,
     with_components,
@@ -387,10 +384,7 @@ class VisibilityModel:
             whole = np.full(len(self.regressor.hidden_bias), self.regressor.hidden_bias.shape[1])
             arrays["neurons"] = whole if self.neurons is None else self.neurons
         arrays = without_components(self, pack(arrays, self.packings))
-        arrays = {n: np.ascontiguousarray(a) for n, a in flattened(arrays).items()}
-        with writing(path) as partial:
-            # ``save_file`` would make a file that nobody else may read.
-            partial.write_bytes(safetensors.numpy.save(arrays, {"prtnet": json.dumps(header)}))
+        write_arrays(path, header, flattened(arrays), MODEL)
 
     @classmethod
     def load(cls, path: str | Path) -> VisibilityModel:
@@ -399,7 +393,7 @@ class VisibilityModel:
         Raises:
             PrtnetError: it is missing, not a model, damaged, or of another format version.
         """
-        header, arrays = read(Path(path))
+        header, arrays = read_arrays(path, MODEL)
         version = header.get("format_version")
         if version != FORMAT_VERSION:
             raise PrtnetError(

@@ -6,17 +6,13 @@ sake of one batched product, clusters differ in neurons, and groups in latents.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import safetensors
 
 from prtnet.arrays import BoolArray, IntArray
 from prtnet.components import Coding, from_bytes, to_bytes
-from prtnet.errors import PrtnetError
 from prtnet.prior import Prior, prior_from_arrays
 
 if TYPE_CHECKING:
@@ -26,7 +22,6 @@ __all__ = [
     "ARRAYS",
     "check_shapes",
     "flattened",
-    "read",
     "read_prior",
     "restored",
     "with_components",
@@ -176,22 +171,6 @@ def read_prior(header: Mapping[str, Any], arrays: dict[str, Any]) -> Prior | Non
     if header.get("prior") is None:
         return None
     return prior_from_arrays(header["prior"], header["surroundings"], arrays)
-
-
-def read(path: Path) -> tuple[dict[str, Any], Mapping[str, Any]]:
-    """Header and arrays of a safetensors file."""
-    if not path.is_file():
-        raise PrtnetError(path, "does not exist or is no file; give a trained .safetensors model")
-    try:
-        with safetensors.safe_open(path, framework="numpy") as file:
-            text = (file.metadata() or {}).get("prtnet")
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        header = json.loads(text) if text else None
-    except (OSError, ValueError, safetensors.SafetensorError) as error:
-        raise PrtnetError(path, f"is damaged or no safetensors file ({error})") from error
-    if not isinstance(header, dict):
-        raise PrtnetError(path, "is a safetensors file but no prtnet model; train one first")
-    return header, arrays
 
 
 def check_shapes(model: VisibilityModel) -> None:

@@ -1,0 +1,69 @@
+"""Files of named arrays with a header: safetensors whose metadata hold one JSON object.
+
+Reading one runs no code of the file, and ends with arrays or with one line.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+from prtnet.errors import PrtnetError
+from prtnet.files import writing
+
+__all__ = ["MODEL", "TRANSFER", "header_key", "read_arrays", "write_arrays"]
+
+# The metadata key of each kind of file: whose header it is.
+MODEL, TRANSFER = "prtnet", "prtnet-transfer"
+MADE_BY = {MODEL: ("model", "train one first"), TRANSFER: ("transfer field", "bake one first")}
+
+
+def write_arrays(
+    path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, Any], key: str
+) -> None:
+    """Write arrays and a header that JSON can hold; the file is whole or absent.
+
+    Raises:
+        PrtnetError: the file cannot be written.
+    """
+    solid = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    with writing(path) as partial:
+        # ``save_file`` would make a file that nobody else may read.
+        partial.write_bytes(safetensors.numpy.save(solid, {key: json.dumps(header)}))
+
+
+def read_arrays(path: str | Path, key: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Header and arrays of a file of this kind.
+
+    Raises:
+        PrtnetError: it is missing, damaged, or of another kind.
+    """
+    kind, make = MADE_BY[key]
+    if not Path(path).is_file():
+        raise PrtnetError(path, f"does not exist or is no file; give a .safetensors {kind}")
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            text = (file.metadata() or {}).get(key)
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        header = json.loads(text) if text else None
+    except (OSError, ValueError, TypeError, safetensors.SafetensorError) as error:
+        raise PrtnetError(path, f"is damaged or no safetensors file ({error})") from error
+    if not isinstance(header, dict):
+        raise PrtnetError(path, f"is a safetensors file but no prtnet {kind}; {make}")
+    return header, arrays
+
+
+def header_key(path: str | Path) -> str | None:
+    """Which kind of file this is; None where it is none of ours, or no safetensors file."""
+    try:
+        with safetensors.safe_open(path, framework="numpy") as file:
+            known = file.metadata() or {}
+    except (OSError, safetensors.SafetensorError):
+        return None
+    return next((key for key in MADE_BY if key in known), None)

@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from prtnet.array_file import MODEL, TRANSFER, header_key, read_arrays, write_arrays
+from prtnet.errors import PrtnetError
+
+
+def complaint(path: Path, key: str) -> str:
+    with pytest.raises(PrtnetError) as caught:
+        read_arrays(path, key)
+    assert "\n" not in str(caught.value)
+    return caught.value.message
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    across = np.arange(6, dtype=np.float32).reshape(2, 3).T  # not contiguous
+    write_arrays(path, {"is": "ours"}, {"across": across}, TRANSFER)
+    header, arrays = read_arrays(path, TRANSFER)
+    assert header == {"is": "ours"}
+    np.testing.assert_array_equal(arrays["across"], across)
+    assert header_key(path) == TRANSFER
+
+
+def test_other_kinds_are_told_apart(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    write_arrays(path, {"is": "ours"}, {"a": np.zeros(1)}, TRANSFER)
+    assert "no prtnet model; train one first" in complaint(path, MODEL)
+    safetensors.numpy.save_file({"a": np.zeros(1)}, path)
+    assert "no prtnet transfer field; bake one first" in complaint(path, TRANSFER)
+    assert header_key(path) is None
+
+
+@pytest.mark.parametrize("text", ["no json", "[1]", "1"])
+def test_header_that_is_none(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "a.safetensors"
+    path.write_bytes(safetensors.numpy.save({"a": np.zeros(1)}, {TRANSFER: text}))
+    assert "safetensors file" in complaint(path, TRANSFER)
+
+
+def test_damaged_and_missing(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    assert "does not exist" in complaint(path, TRANSFER)
+    path.write_bytes(b"\xff" * 40)
+    assert "damaged" in complaint(path, TRANSFER)
+    assert header_key(path) is None
