@@ -1,0 +1,84 @@
+"""Greyscale pictures as height fields and maps: PNG, JPEG, TIFF, ... of 8 or 16 bits, and EXR."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from prtnet.arrays import FloatArray
+from prtnet.errors import PrtnetError
+from prtnet.exr import read_exr
+
+__all__ = ["PICTURES", "read_grey"]
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".tga", ".pgm", ".exr")
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+LARGEST = 1 << 26  # pixels
+
+
+def read_grey(path: str | Path, texels: tuple[int, int] | None = None) -> FloatArray:
+    """Grey values (H, W) float64, **bottom row first**: 0 is black, 1 white.
+
+    The numbers of the file as they are, neither gamma nor colour space undone: they stand for
+    heights or shares. An ``.exr`` may have any numbers, −∞ among them.
+
+    Args:
+        path: of the picture.
+        texels: W and H to resample to; as many as there are when not given.
+
+    Raises:
+        PrtnetError: it is no picture, too large, or holds NaN or +∞.
+    """
+    path = Path(path)
+    grey = read_exr(path) @ LUMINANCE if path.suffix.lower() == ".exr" else decoded(path)
+    if np.isnan(grey).any():
+        count = int(np.isnan(grey).sum())
+        raise PrtnetError(path, f"holds {count} values that are not numbers (NaN); repair it")
+    if np.isposinf(grey).any():
+        raise PrtnetError(path, "holds heights that are infinite upwards; repair it")
+    if not np.isfinite(grey).any():
+        raise PrtnetError(path, "has no finite height; give a picture of a surface")
+    if texels is not None and texels != grey.shape[::-1]:
+        if not np.isfinite(grey).all():
+            raise PrtnetError(path, "has pits without floor and cannot be resampled; leave --size")
+        grey = resampled(grey, texels)
+    return np.ascontiguousarray(grey[::-1])
+
+
+def decoded(path: Path) -> FloatArray:
+    """Grey values (H, W) of a picture that Pillow reads, top row first."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with Image.open(path) as picture:
+                if picture.width * picture.height > LARGEST:
+                    raise PrtnetError(path, "has too many pixels; resample it first")
+                return grey_of(picture)
+    except PrtnetError:
+        raise
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Warning) as error:
+        reason = "it is no picture" if isinstance(error, UnidentifiedImageError) else str(error)
+        raise PrtnetError(path, f"cannot be read ({reason}); give a greyscale picture") from error
+    except Image.DecompressionBombError as error:
+        raise PrtnetError(path, "has too many pixels; resample it first") from error
+
+
+def grey_of(picture: Image.Image) -> FloatArray:
+    """Grey values (H, W) of one picture: 8 and 16 bits over their most, floats as they are."""
+    if picture.mode == "F":
+        return np.asarray(picture, dtype=np.float64)
+    if picture.mode.startswith("I"):
+        return np.asarray(picture, dtype=np.float64) / 65535.0
+    colour = np.asarray(picture.convert("RGB"), dtype=np.float64) / 255.0
+    return np.asarray(colour @ LUMINANCE)
+
+
+def resampled(grey: FloatArray, texels: tuple[int, int]) -> FloatArray:
+    """The picture (H, W) with other texels: means where there are fewer, lines where more."""
+    fewer = texels[0] <= grey.shape[1] and texels[1] <= grey.shape[0]
+    how = Image.Resampling.BOX if fewer else Image.Resampling.BILINEAR
+    picture = Image.fromarray(grey.astype(np.float32))
+    return np.asarray(picture.resize(texels, how), dtype=np.float64)
