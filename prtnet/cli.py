@@ -1,7 +1,7 @@
 """The command line: one function a command, thin over the packages it drives.
 
-This module and ``cli_render``, ``cli_report``, ``cli_train``, ``cli_view`` may import ``data_gen``,
-``training`` and ``runtime``, inside the commands: ``prtnet --help`` answers at once.
+This module and the ``cli_…`` of its longer commands may import ``data_gen``, ``training`` and
+``runtime``, inside the commands: ``prtnet --help`` answers at once.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import shlex
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,12 +23,7 @@ import prtnet
 from prtnet.errors import PrtnetError, nearest_name
 
 if TYPE_CHECKING:
-    from prtnet.arrays import FloatArray
-    from prtnet.cli_options import EvaluateOptions
-    from prtnet.console import Console, Report
-    from prtnet.evaluation import NearestPose, TruthBlock
-    from prtnet.model import VisibilityModel
-    from runtime.onnx_model import OnnxModel
+    from prtnet.console import Console
 
 __all__ = ["COMMANDS", "main", "run"]
 
@@ -148,13 +143,18 @@ def arguments(name: str, argv: Sequence[str], *parts: Any) -> tuple[Any, ...]:
 
 
 def info(argv: Sequence[str]) -> None:
-    """Describe a scene, a dataset or a model."""
+    """Describe a scene, a dataset, a model or a transfer field."""
+    from prtnet.array_file import TRANSFER, header_key
     from prtnet.cli_arguments import input_file
     from prtnet.cli_options import InfoOptions
 
     options, session = arguments("info", argv, InfoOptions)
     path = input_file(options.file, folder=True)
-    if path.suffix == ".safetensors":
+    if path.suffix == ".safetensors" and header_key(path) == TRANSFER:
+        from prtnet.transfer import TransferField
+
+        facts = TransferField.load(path).facts()
+    elif path.suffix == ".safetensors":
         from prtnet.model import VisibilityModel
 
         facts = VisibilityModel.load(path).metadata
@@ -240,6 +240,7 @@ def evaluate(argv: Sequence[str]) -> None:
     inputs = input_file(options.model), input_file(options.data, folder=True)
     check_output(options.dump, *inputs)
 
+    from prtnet.cli_evaluate import dataset_truth, scene_truth
     from prtnet.console import in_per_cent
     from prtnet.evaluation import evaluate as measure
     from prtnet.model import VisibilityModel
@@ -252,92 +253,12 @@ def evaluate(argv: Sequence[str]) -> None:
         if options.data.is_dir():
             truth = dataset_truth(options, model)
         else:
-            truth = scene_truth(options, model, predict, functools.partial(report, "dumped poses"))
+            dumped = functools.partial(report, "dumped poses")
+            truth = scene_truth(options, model, predict, dumped, threads(options.threads))
         results = measure(model, predict, truth.counted(report), truth.nearest)
     results["ms_per_pose"] = predict.milliseconds(truth.pose)
     results["model_bytes"] = options.model.stat().st_size
     session.finish(results, in_per_cent(results))
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What a model is evaluated on.
-
-    Attributes:
-        blocks: poses and their visibility.
-        total: number of poses.
-        pose: one of them, (1, D), for timing.
-        nearest: answers with training poses; None where their data is not at hand.
-    """
-
-    blocks: Iterable[TruthBlock]
-    total: int
-    pose: FloatArray
-    nearest: NearestPose | None = None
-
-    def counted(self, report: Report) -> Iterator[TruthBlock]:
-        """The blocks, each reported when it is done with."""
-        done = 0
-        for block in self.blocks:
-            yield block
-            done += len(block.poses)
-            report("poses", done, self.total)
-
-
-def dataset_truth(options: EvaluateOptions, model: VisibilityModel) -> Truth:
-    """The clips of a dataset."""
-    from prtnet import evaluation
-    from prtnet.dataset import SAMPLED, Dataset
-    from prtnet.output_space import OutputSpace
-
-    dataset = Dataset.open(options.data)
-    if options.dump is not None:
-        raise PrtnetError("--dump", "needs a scene in place of the dataset")
-    known = dataset.mesh_sha256, dataset.order, len(dataset.receiver_side)
-    if known != (model.metadata.get("mesh_sha256"), model.order, model.receiver_count):
-        what = f"is of another mesh, order or number of receivers than {options.model}"
-        raise PrtnetError(options.data, f"{what} (two-sided or not?); train a model on it")
-    clips = chosen(options, [name for name in dataset.clip_names if name != SAMPLED])
-    return Truth(
-        evaluation.dataset_truth(model, dataset, clips),
-        sum(len(dataset.poses_of(clip)) for clip in clips),
-        dataset.read("pose", slice(1)),
-        evaluation.NearestPose(dataset, OutputSpace.of(model.metadata)),
-    )
-
-
-def scene_truth(
-    options: EvaluateOptions,
-    model: VisibilityModel,
-    predict: OnnxModel,
-    dumped: Callable[[int, int], object],
-) -> Truth:
-    """The clips of a scene, traced when they are wanted; writes the dump if there is to be one."""
-    from data_gen import truth
-    from data_gen.readers import read_scene, require_clips
-    from prtnet.modelled_scene import ModelledScene
-    from prtnet.time_range import part_of
-
-    scene = read_scene(options.data)
-    require_clips(scene)
-    actor = ModelledScene(model, scene)
-    clips = [part_of(scene, name).name for name in dict.fromkeys(options.clips)]
-    clips = clips or [clip.name for clip in scene.clips]
-    if options.dump is not None:
-        actor.dump(options.dump, clips, options.fps, predict, dumped)
-    return Truth(
-        truth.scene_truth(actor, clips, options.fps, options.rays, threads(options.threads)),
-        sum(len(part_of(scene, clip).times(options.fps)) for clip in clips),
-        actor.poses(clips[0], fps=options.fps)[:1],
-    )
-
-
-def chosen(options: EvaluateOptions, known: Sequence[str]) -> Sequence[str]:
-    """The clips asked for, checked, or all that are known."""
-    for name in options.clips:
-        if name not in known:
-            raise PrtnetError(options.data, f"has no clip '{name}'; {nearest_name(name, known)}")
-    return list(dict.fromkeys(options.clips)) or known
 
 
 def export(argv: Sequence[str]) -> None:
@@ -415,6 +336,22 @@ def report(argv: Sequence[str]) -> None:
     session.finish(results, in_per_cent(shown))
 
 
+def bake(argv: Sequence[str]) -> None:
+    """Simulate local transfer of a mesh, a height field or a parametric model."""
+    from prtnet.cli_arguments import check_output
+    from prtnet.cli_bake import BakeOptions, baked, warnings_of
+
+    options, session = arguments("bake", argv, BakeOptions)
+    check_output(options.out, *options.inputs())
+    with session.console.progress() as progress:
+        field = baked(options, threads(options.threads), progress)
+    field.save(options.out)
+    facts = field.facts()
+    for warning in warnings_of(facts):
+        session.console.message(warning)
+    session.finish({"out": options.out, "bytes": options.out.stat().st_size, **facts})
+
+
 def demo(argv: Sequence[str]) -> None:
     """Everything, on the bundled character."""
     from prtnet.cli_arguments import output_folder
@@ -457,7 +394,7 @@ def threads(count: int | None) -> int:
 
 
 COMMANDS = {
-    "info": Command(info, "Describe a scene, a dataset or a model.", "prtnet info robot.glb"),
+    "info": Command(info, "Describe a scene, dataset, model or field.", "prtnet info robot.glb"),
     "generate": Command(
         generate,
         "Ray-trace visibility over the poses of a scene.",
@@ -492,6 +429,11 @@ COMMANDS = {
         report,
         "Fit models of many sizes to a dataset and show on one page what they cost and miss.",
         "prtnet report robot.zarr --out report.html --quick",
+    ),
+    "bake": Command(
+        bake,
+        "Simulate how a mesh, or a relief on any mesh, answers light: shadows, bounces, scatter.",
+        "prtnet bake waffle --out waffle.safetensors --subsurface marble --metres 0.03",
     ),
     "demo": Command(demo, "Do all of it on a bundled character.", "prtnet demo --out demo"),
 }

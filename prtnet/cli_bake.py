@@ -1,0 +1,232 @@
+"""The work of ``prtnet bake``: local transfer of meshes, reliefs and parametric models.
+
+Beside ``prtnet.cli``, which it serves, it may import the other packages: rays are ``data_gen``'s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import Positional
+
+from prtnet.errors import PrtnetError, nearest_name
+
+if TYPE_CHECKING:
+    from data_gen.bake import BakeConfig
+    from prtnet.console import Report
+    from prtnet.transfer import TransferField
+
+__all__ = ["BakeOptions", "baked", "warnings_of"]
+
+MEMBRANE, WRINKLE = "membrane", "wrinkle"
+TEXELS = (64, 64)  # of a pattern
+MAP = (32, 32)  # of a wrinkle
+LARGEST = 4096  # texels a side
+RELIEF = 0.1  # depth of a relief over its width, where no depth is given
+
+
+@dataclass(frozen=True)
+class BakeOptions:
+    """Options of ``prtnet bake``."""
+
+    source: Positional[
+        str
+    ]  # mesh, picture of heights, weave, swirl, bumps, waffle, membrane, wrinkle
+    out: Path  # field to write, a .safetensors file
+    order: int = 6  # bands of the spherical harmonics
+    rays: int = 1024  # rays per point
+    bounces: int = 16  # of inter-reflection at most; 0 for shadows alone
+    albedo: float = 0.8  # share of light that the surface sends on
+    subsurface: str | None = None  # marble, milk, ...; or SCATTERING/ABSORPTION per millimetre
+    thickness: float | None = None  # metres under a relief's deepest place, lit from below
+    brdf: str | None = None  # glossy rows of a preset, a BRDF as ggx:roughness=0.3, a MERL .binary
+    rows: int = 3  # of a glossy matrix
+    size: tuple[int, int] | None = None  # texels; 64x64, a picture's own, 32x32 depths of a wrinkle
+    metres: float | None = None  # width of a patch or wrinkle (0.1), longest side of a mesh's box
+    depth: float | None = None  # metres that grey 0 and 1 are apart, or of the deepest wrinkle
+    edges: Literal["auto", "wrap", "clamp"] = "auto"  # a relief repeats, or its border goes on
+    translucency: str = "0.5"  # of a membrane: a number from 0 to 1, or a picture of them
+    seed: int = 0  # of what a pattern scatters
+    threads: int | None = None  # CPU threads; all cores when not given
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        counts = {"--order": (self.order, 1, 16), "--rays": (self.rays, 1, 1 << 17),
+                  "--bounces": (self.bounces, 0, 10_000), "--rows": (self.rows, 1, self.order**2),
+                  "--threads": (self.threads or 1, 1, 1024)}  # fmt: skip
+        for option, (value, least, most) in counts.items():
+            if not least <= value <= most:
+                raise PrtnetError(option, f"is {value}; it must be from {least} to {most}")
+        if not 0 <= self.albedo <= 1:
+            raise PrtnetError("--albedo", f"is {self.albedo:g}; it must be from 0 to 1")
+        for option in ("metres", "depth", "thickness"):
+            value = getattr(self, option)
+            if value is not None and not (0 < value < math.inf):
+                raise PrtnetError(f"--{option}", f"is {value:g}; it must be a length above 0")
+        if self.thickness is not None and self.subsurface is None:
+            raise PrtnetError("--thickness", "needs --subsurface: nothing else lets light through")
+        if max(self.size or (1,)) > LARGEST:
+            raise PrtnetError("--size", f"is too large; give at most {LARGEST}x{LARGEST}")
+        if self.out.suffix.lower() != ".safetensors":
+            raise PrtnetError(self.out, "is no name of a field; end it in .safetensors")
+
+    def inputs(self) -> list[Path]:
+        """The files that are read."""
+        named = [Path(text) for text in (self.source, self.translucency, self.brdf or "")]
+        return [path for path in named if path.is_file()]
+
+
+def baked(options: BakeOptions, threads: int, report: Report) -> TransferField:
+    """The field that the options ask for.
+
+    Raises:
+        PrtnetError: the source is none, or cannot be read or simulated.
+    """
+    from data_gen.grey_image import PICTURES
+    from data_gen.reliefs import PATTERNS
+    from data_gen.static_mesh import MESHES
+
+    ending = Path(options.source).suffix.lower()
+    if options.source == MEMBRANE:
+        field = membrane(options)
+    elif options.source == WRINKLE:
+        field = wrinkle(options, threads, report)
+    elif options.source in PATTERNS or ending in PICTURES:
+        field = patch(options, threads, report)
+    elif ending in MESHES:
+        field = mesh(options, threads, report)
+    else:
+        known = nearest_name(options.source, [*PATTERNS, MEMBRANE, WRINKLE])
+        files = ", ".join((*MESHES, *PICTURES))
+        what = f"is no mesh, picture or pattern; {known}; files end in {files}"
+        raise PrtnetError(options.source, what)
+    name = Path(options.source).name
+    told = {"source": name, **field.metadata}
+    if options.brdf is not None:
+        told["brdf"] = Path(options.brdf).name
+    return type(field)(field.transfer, field.layout, field.view, told)
+
+
+def config_of(options: BakeOptions, threads: int) -> BakeConfig:
+    """What is simulated.
+
+    Raises:
+        PrtnetError: there is no such medium or material.
+    """
+    from data_gen.bake import BakeConfig
+    from prtnet.dipole import medium_named
+    from prtnet.glossy import brdf_rows
+    from prtnet.materials import brdf_named
+
+    glossy = None
+    if options.brdf is not None:
+        glossy = brdf_rows(brdf_named(options.brdf), options.rows, options.order)
+    medium = None if options.subsurface is None else medium_named(options.subsurface)
+    return BakeConfig(
+        order=options.order,
+        rays=options.rays,
+        bounces=options.bounces,
+        albedo=options.albedo,
+        medium=medium,
+        glossy=glossy,
+        threads=threads,
+    )
+
+
+def patch(options: BakeOptions, threads: int, report: Report) -> TransferField:
+    """A relief: a pattern, or a picture."""
+    from data_gen.bake import bake_patch
+    from data_gen.grey_image import read_grey
+    from data_gen.reliefs import PATTERNS, relief, seams_close
+
+    config = config_of(options, threads)
+    if options.source in PATTERNS:
+        grey = relief(options.source, options.size or TEXELS, options.seed)
+    else:
+        grey = read_grey(options.source, options.size)
+    tiles = {"auto": seams_close(grey), "wrap": (True, True), "clamp": (False, False)}
+    rows, columns = grey.shape
+    width = options.metres or 0.1
+    size = (width, width * rows / columns)
+    try:
+        return bake_patch(
+            grey * (options.depth or RELIEF * width),
+            size,
+            tiles[options.edges],
+            config,
+            options.thickness,
+            report,
+        )
+    except ValueError as error:
+        raise PrtnetError(options.source, f"cannot be baked ({error}); give another") from error
+
+
+def mesh(options: BakeOptions, threads: int, report: Report) -> TransferField:
+    """The vertices of a mesh."""
+    from data_gen.bake import bake_mesh
+    from data_gen.static_mesh import read_mesh
+
+    if options.thickness is not None:
+        raise PrtnetError("--thickness", "is of a relief; a mesh has an inside of its own")
+    found = read_mesh(options.source)
+    return bake_mesh(found, config_of(options, threads), options.metres, report)
+
+
+def membrane(options: BakeOptions) -> TransferField:
+    """A thin membrane, and its map of translucency."""
+    import numpy as np
+
+    from data_gen.grey_image import read_grey
+    from prtnet.membrane import membrane_field
+
+    if options.brdf is not None or options.subsurface is not None:
+        raise PrtnetError(MEMBRANE, "has neither --brdf nor --subsurface; leave them out")
+    try:
+        columns, rows = options.size or (1, 1)
+        share = np.full((rows, columns), float(options.translucency))
+    except ValueError:
+        share = read_grey(options.translucency, options.size)
+    rows, columns = share.shape
+    width = options.metres or 0.1
+    try:
+        return membrane_field(share, (width, width * rows / columns), options.order, options.albedo)
+    except ValueError as error:
+        raise PrtnetError("--translucency", f"{error}; give 0.5 or a picture") from error
+
+
+def wrinkle(options: BakeOptions, threads: int, report: Report) -> TransferField:
+    """The map of grooves by place and depth."""
+    from data_gen.bake import bake_wrinkle
+    from prtnet.wrinkle import Wrinkle
+
+    if options.thickness is not None:
+        raise PrtnetError("--thickness", "is of a relief; a wrinkle has none")
+    width = options.metres or 0.1
+    columns, rows = options.size or MAP
+    try:
+        family = Wrinkle(width, options.depth or width, columns, rows)
+    except ValueError as error:
+        raise PrtnetError("--size", f"{error}; give 32x32") from error
+    return bake_wrinkle(family, config_of(options, threads), report)
+
+
+def warnings_of(facts: Mapping[str, Any]) -> list[str]:
+    """What the user should know about a field."""
+    told = []
+    if facts.get("diverges"):
+        told.append("inter-reflection does not end: light is enclosed where nothing absorbs it; "
+                    "give a lower --albedo")  # fmt: skip
+    elif facts.get("bounces", 0) > 0 and ((left := facts["left"]) is None or left > 0.01):
+        share = "an unknown share" if left is None else f"up to {100 * left:.2g} %"
+        told.append(f"further bounces would add {share} somewhere; give more --bounces")
+    if "wrinkle" not in facts and facts.get("tiles") in (
+        [True, False],
+        [False, True],
+        [False, False],
+    ):
+        told.append("the relief does not tile everywhere: its border goes on outwards there")
+    return told
