@@ -145,10 +145,11 @@ def patch(options: BakeOptions, threads: int, report: Report) -> TransferField:
 
     config = config_of(options, threads)
     if options.source in PATTERNS:
-        grey = relief(options.source, options.size or TEXELS, options.seed)
+        grey, closed = relief(options.source, options.size or TEXELS, options.seed), (True, True)
     else:
         grey = read_grey(options.source, options.size)
-    tiles = {"auto": seams_close(grey), "wrap": (True, True), "clamp": (False, False)}
+        closed = seams_close(grey)
+    tiles = {"auto": closed, "wrap": (True, True), "clamp": (False, False)}
     rows, columns = grey.shape
     width = options.metres or 0.1
     size = (width, width * rows / columns)

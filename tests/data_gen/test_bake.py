@@ -174,6 +174,17 @@ def test_scatter_in_a_mesh_knows_its_size() -> None:
     assert shaded[1] < 0.9 * shaded[0]
 
 
+def test_metres_are_the_size_of_the_mesh() -> None:
+    mesh = two_balls()
+    config = dataclasses.replace(QUICK, medium=MATERIALS["marble"])
+    longest = float(np.ptp(mesh.positions, axis=0).max())
+    told = bake_mesh(mesh, config, metres=0.01)
+    scaled = dataclasses.replace(mesh, positions=mesh.positions * np.float32(0.01 / longest))
+    itself = bake_mesh(scaled, config)
+    np.testing.assert_allclose(told.vectors, itself.vectors, atol=2e-4)
+    assert np.abs(told.vectors - bake_mesh(mesh, config).vectors).max() > 0.02
+
+
 def horizons(wrinkle: Wrinkle, x: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray]:
     """Slopes of the horizon towards −x and +x of places in a groove, in closed form but for max."""
     fine = np.linspace(0, 1, 40001)

@@ -167,3 +167,39 @@ def test_reliefs_that_are_none(heights: np.ndarray) -> None:
 def test_more_than_can_be_traced_is_refused() -> None:
     with pytest.raises(ValueError, match="too much"):
         PatchCaster(np.zeros((2, 3000)), (1.0, 1e-4))
+
+
+def test_backs_send_no_light() -> None:
+    """A sheet over a floor faces up: from below its back is hit, and hides without shining."""
+    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=float)
+    positions = np.concatenate([square, 2 * square + [0, 0, 0.5]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], dtype=np.int32)
+    up = np.tile([0.0, 0.0, 1.0], (8, 1))
+    caster = MeshCaster(positions, faces, up, any_tangent(up))
+    straight = np.broadcast_to(np.array([0, 0, 1], np.float32), (8, 1, 3)).copy()
+    hits = caster.cast(slice(0, 8), straight)
+    assert hits.ray.tolist() == [0, 1, 2, 3]
+    np.testing.assert_array_equal(hits.weights, 0.0)
+    down = MeshCaster(positions, faces[:, ::-1].copy(), up, any_tangent(up))
+    np.testing.assert_allclose(down.cast(slice(0, 8), straight).weights.sum(axis=1), 1.0)
+
+
+@pytest.mark.parametrize("tiles", [(True, True), (True, False), (False, True), (False, False)])
+def test_what_falls_lands(tiles: tuple[bool, bool]) -> None:
+    """From a hill every falling ray meets the relief or what goes on beyond its border."""
+    heights = np.zeros((10, 10))
+    heights[5, 5] = 0.3
+    caster = PatchCaster(heights, (1.0, 1.0), tiles)
+    around = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    falling = np.stack([np.cos(around), np.sin(around), np.full(64, -0.05)], axis=1)
+    directions = falling[None].astype(np.float32)
+    hits = caster.cast(slice(55, 56), directions)
+    assert hits.ray.tolist() == list(range(64))
+    np.testing.assert_allclose(hits.weights.sum(axis=1), 1.0, atol=1e-6)
+    far = hits.weights[:, 0] == 1.0  # a texel of the border alone
+    assert far.any() == (tiles != (True, True))
+    row, column = np.divmod(hits.corners[far, 0], 10)
+    ends = np.zeros(far.sum(), dtype=bool)
+    for index, goes_on in ((column, tiles[0]), (row, tiles[1])):
+        ends |= (not goes_on) & np.isin(index, (0, 9))
+    assert ends.all()

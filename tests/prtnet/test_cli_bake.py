@@ -53,6 +53,8 @@ def test_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert field.layout.tiles == (False, True)
     assert field.layout.heights.max() == pytest.approx(0.02 * 230 / 255, rel=1e-5)
     assert baked(tmp_path, str(path), "--edges", "wrap").facts()["tiles"] == [True, True]
+    ended = baked(tmp_path, "waffle", "--size", "6x6", "--edges", "clamp")
+    assert ended.facts()["tiles"] == [False, False]
     out = str(tmp_path / "field.safetensors")
     assert cli.run(["bake", str(path), "--out", out, *QUICK]) == 0
     assert "does not tile" in capsys.readouterr().err
