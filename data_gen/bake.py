@@ -59,12 +59,9 @@ class BakeConfig:
 
     def facts(self) -> dict[str, Any]:
         """As JSON can hold it."""
-        told: dict[str, Any] = {"rays": self.rays}
-        if self.medium is None or self.glossy is not None:
-            told["albedo"] = self.albedo
-        if self.medium is not None:
-            told["subsurface"] = dataclasses.asdict(self.medium)
-        return told
+        if self.medium is None:
+            return {"rays": self.rays, "albedo": self.albedo}
+        return {"rays": self.rays, "subsurface": dataclasses.asdict(self.medium)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 
-from data_gen.casters import Caster
+from data_gen.casters import Caster, Hits
 from prtnet import sh
 from prtnet.arrays import FloatArray
 from prtnet.console import Report, silent
@@ -133,15 +133,7 @@ def gather(
         lost = (shade @ flat).reshape(len(frames), *open_sky.shape)
         direct = rotate(open_sky - lost.astype(np.float64), frames[:, None])
         direct[shade.all(axis=1)] = 0.0  # not the rays' error: enclosed places stay dark for good
-        point, ray = np.divmod(np.repeat(hits.ray, 3), rays)
-        lit = hits.weights.ravel() > 0
-        place = (point[lit], hits.corners.ravel()[lit])
-        share = hits.weights.ravel()[lit]
-        matrices = []
-        for value in values.astype(np.float32):
-            entries = (share * value[ray[lit]], place)
-            matrices.append(scipy.sparse.csr_array(entries, shape=(len(frames), len(caster))))
-        return direct, matrices
+        return direct, hidden_by(hits, values, (len(frames), len(caster)))
 
     found = []
     with ThreadPoolExecutor(threads) as pool:
@@ -153,6 +145,26 @@ def gather(
         for f in range(len(values))
     ]
     return Gathering(np.concatenate([direct for direct, _ in found]), hidden)
+
+
+def hidden_by(
+    hits: Hits, values: FloatArray, shape: tuple[int, int]
+) -> list[scipy.sparse.csr_array]:
+    """F matrices (B, K): what points that hide the sky of others weigh there.
+
+    Args:
+        hits: of B points' rays.
+        values: of F functions along R rays, solid angles included, (F, R).
+        shape: B and K.
+    """
+    lit = hits.weights.ravel() > 0
+    point, ray = np.divmod(np.repeat(hits.ray, 3)[lit], values.shape[1])
+    place = (point, hits.corners.ravel()[lit])
+    share = hits.weights.ravel()[lit]
+    return [
+        scipy.sparse.csr_array((share * value[ray], place), shape=shape)
+        for value in values.astype(np.float32)
+    ]
 
 
 def bounce(
