@@ -28,6 +28,7 @@ __all__ = ["Caster", "Hits", "MeshCaster", "PatchCaster"]
 HOPS = 64  # of a ray over tiles; what then still rises is free
 OVERLAP = 1e-3  # of the block's half size: rays come in a little before where they left
 DEEPEST = 16.0  # sizes of a patch: deeper is as dark
+FARTHEST = 1e7  # sizes of a patch from 0, where float64 still tells texels apart
 MOST_CELLS = 1 << 23  # of a block
 
 
@@ -265,7 +266,7 @@ def floored(heights: FloatArray, size: float) -> FloatArray:
     """Heights (H, W) float64 with a floor so deep that nothing of it is seen.
 
     Raises:
-        ValueError: there are none, or one is NaN or +∞, or all are −∞.
+        ValueError: there are none, or one is NaN or +∞, or all are −∞, or they are far from 0.
     """
     found = np.array(heights, dtype=np.float64)
     if found.ndim != 2 or found.size == 0:
@@ -277,6 +278,8 @@ def floored(heights: FloatArray, size: float) -> FloatArray:
     top = float(found.max())
     floor: BoolArray = found < top - DEEPEST * size
     found[floor] = top - DEEPEST * size
+    if max(-float(found.min()), top) > FARTHEST * size:
+        raise ValueError("heights lie too far from 0 for the width of the patch")
     return found
 
 

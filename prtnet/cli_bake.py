@@ -33,9 +33,7 @@ RELIEF = 0.1  # depth of a relief over its width, where no depth is given
 class BakeOptions:
     """Options of ``prtnet bake``."""
 
-    source: Positional[
-        str
-    ]  # mesh, picture of heights, weave, swirl, bumps, waffle, membrane, wrinkle
+    source: Positional[str]  # mesh, picture, weave, swirl, bumps, waffle, membrane or wrinkle
     out: Path  # field to write, a .safetensors file
     order: int = 6  # bands of the spherical harmonics
     rays: int = 1024  # rays per point
@@ -56,8 +54,11 @@ class BakeOptions:
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
         counts = {"--order": (self.order, 1, 16), "--rays": (self.rays, 1, 1 << 17),
-                  "--bounces": (self.bounces, 0, 10_000), "--rows": (self.rows, 1, self.order**2),
-                  "--threads": (self.threads or 1, 1, 1024)}  # fmt: skip
+                  "--bounces": (self.bounces, 0, 10_000)}  # fmt: skip
+        if self.brdf is not None:
+            counts["--rows"] = (self.rows, 1, self.order**2)
+        if self.threads is not None:
+            counts["--threads"] = (self.threads, 1, 1024)
         for option, (value, least, most) in counts.items():
             if not least <= value <= most:
                 raise PrtnetError(option, f"is {value}; it must be from {least} to {most}")

@@ -255,3 +255,13 @@ def test_size_alone_changes_nothing_without_scatter() -> None:
 def test_reliefs_that_are_none(bad: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"height|rows"):
         bake_patch(bad, (1.0, 1.0), TILED, QUICK)
+
+
+def test_wrinkle_that_scatters_is_flat_where_the_groove_is() -> None:
+    """Its flat sides are as wide as the medium reaches, so the first row is the plane's."""
+    skin = MATERIALS["skin"]
+    wrinkle = Wrinkle(width=0.008, deepest=0.004, columns=5, rows=2)
+    field = bake_wrinkle(wrinkle, dataclasses.replace(QUICK, medium=skin, rays=64))
+    expected = skin.reflectance() * unit_irradiance(3)
+    np.testing.assert_allclose(field.vectors[:5], np.tile(expected, (5, 1)), atol=0.003)
+    assert np.abs(field.vectors[7] - expected).max() > 0.005  # at the bottom of the other

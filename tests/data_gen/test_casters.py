@@ -160,6 +160,8 @@ def test_flat_patch_hides_nothing() -> None:
 def test_reliefs_that_are_none(heights: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"height|rows"):
         PatchCaster(heights, (1.0, 1.0))
+    with pytest.raises(ValueError, match="too far"):
+        PatchCaster(np.array([[0.0, 1e30]]), (1.0, 1.0))
     with pytest.raises(ValueError, match="upwards"):
         PatchCaster(np.array([[0.0, np.inf]]), (1.0, 1.0))
 

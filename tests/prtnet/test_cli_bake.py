@@ -94,6 +94,14 @@ def test_glossy_and_scattering(tmp_path: Path) -> None:
     assert field.metadata["subsurface"]["index"] == 1.5
 
 
+def test_one_band_needs_no_rows(tmp_path: Path) -> None:
+    out = tmp_path / "a.safetensors"
+    argv = ["waffle", "--size", "4x4", "--order", "1", "--rays", "16", "--out", str(out), "--quiet"]
+    assert cli.run(["bake", *argv]) == 0
+    assert TransferField.load(out).order == 1
+    assert cli.run(["bake", *argv, "--threads", "0"]) == 2
+
+
 def test_seed_scatters(tmp_path: Path) -> None:
     one = baked(tmp_path, "bumps", "--size", "8x8", "--seed", "1")
     again = baked(tmp_path, "bumps", "--size", "8x8", "--seed", "1")
@@ -120,6 +128,7 @@ def test_info_knows_a_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         (["waffle", "--order", "99"], "--order"),
         (["waffle", "--rays", "0"], "--rays"),
         (["waffle", "--bounces", "-1"], "--bounces"),
+        (["waffle", "--depth", "1e30"], "too far from 0"),
         (["waffle", "--albedo", "1.5"], "--albedo"),
         (["waffle", "--albedo", "nan"], "--albedo"),
         (["waffle", "--metres", "0"], "--metres"),
