@@ -60,7 +60,9 @@ class Scene:
         surface = coloured_surface(self.actor, self.positions, radiance)
         return render_colours(self.renderer, surface, self.camera, SIZE)
 
-    def traced(self, brdf: BRDF, light: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    def traced(
+        self, brdf: BRDF, light: Environment | Callable[[FloatArray], FloatArray]
+    ) -> FloatArray:
         """By rays, without limits."""
         return self.coloured(trace_radiance(*self.given, self.eye, light, brdf, RAYS, 2))
 
@@ -104,7 +106,7 @@ def pictures(scene: Scene, name: str, light: Environment) -> tuple[list[float], 
     """Errors of prediction, of exact visibility, and of each step between; three pictures."""
     brdf = brdf_named(name)
     limited = light.harmonics(scene.model.order)
-    truth = scene.traced(brdf, light.radiance)
+    truth = scene.traced(brdf, light)
     exposure = auto_exposure(truth)
     order = scene.model.order
 

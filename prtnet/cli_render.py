@@ -248,7 +248,7 @@ def tracers(
 
     def radiance(pose: FloatArray, eye: FloatArray, light: Environment, brdf: BRDF) -> FloatArray:
         return trace_radiance(
-            actor.scene, actor.receivers, actor.frame_field, pose, eye, light.radiance, brdf, rays,
+            actor.scene, actor.receivers, actor.frame_field, pose, eye, light, brdf, rays,
             threads,
         )  # fmt: skip
 
