@@ -80,7 +80,7 @@ class BRDFSampler:
         return table + np.minimum(turn.astype(np.int64), self.azimuths - 1), np.zeros(len(view))
 
     def _weights(self, brdf: BRDF) -> FloatArray:
-        """∫ f · cos dl, to a factor, over cells (tables, rings, sectors); all colours count alike."""
+        """∫ f · cos dl, to a factor, over cells (tables, rings, sectors), the mean of colours."""
         line = (np.arange(SAMPLES) + 0.5) / SAMPLES
         inner = self.edges[:-1, None] + np.diff(self.edges)[:, None] * line
         turn = (np.arange(SECTORS)[:, None] + line) * (2.0 * math.pi / SECTORS)
