@@ -18,6 +18,7 @@ from prtnet.gpu_tables import gpu_tables
 from prtnet.modelled_scene import ModelledScene
 from prtnet.prior import NetworkPrior
 from prtnet.storage import STORAGES
+from runtime.cast import Cast
 from runtime.draw import opened, render_material
 from runtime.gl import create_context
 from runtime.picture import develop
@@ -199,9 +200,11 @@ def test_pictures_are_those_of_numpy(kind, storage, graph):
     view = View("bend", 1.5, brdf="phong")
     context = create_context()
     with context:
-        show = Show(
-            context, actor, model, lambda _: model(poses)[0], environment, latents, occluders
-        )
+        cast = Cast(
+            actor, model, lambda _: model(poses)[0], lambda *_: model(poses)[0, :, :3], latents,
+            occluders=occluders,
+        )  # fmt: skip
+        show = Show(context, cast, environment)
         show.screen.samples = 0
         show.operator(view, wait=True)
         target = context.framebuffer([context.texture(SIZE, 4)])
