@@ -5,6 +5,7 @@ These are the reference evaluations; the ONNX graph repeats them in portable ope
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -40,6 +41,11 @@ class Features(ABC):
     @abstractmethod
     def arrays(self) -> dict[str, FloatArray | IntArray]:
         """The arrays that define it, for a model file."""
+
+    def of_clusters(self, clusters: IntArray) -> Features:
+        """The features of some clusters, (A,), alone; those that all share stay as they are."""
+        del clusters
+        return self
 
 
 def joint_matrices(poses: FloatArray, joints: int) -> FloatArray:
@@ -149,6 +155,11 @@ class LocalJoints(Features):
         parts = [self._block(poses[i : i + count]) for i in range(0, len(poses), count)]
         return np.concatenate(parts).astype(np.float32)
 
+    def of_clusters(self, clusters: IntArray) -> LocalJoints:
+        """See :class:`Features`."""
+        own = self.cluster_joint[clusters], self.reach[clusters]
+        return LocalJoints(*own, self.joints)
+
     def _block(self, poses: FloatArray) -> FloatArray:
         matrices = joint_matrices(poses.astype(np.float64), self.joints)
         home, places = matrices[:, self.cluster_joint], matrices[..., 3]
@@ -210,6 +221,11 @@ class Occluders(Features):
         morphs = poses[:, None, 12 * self.joints :]
         shape = (len(poses), clusters, morphs.shape[-1])
         return np.concatenate([caps, np.broadcast_to(morphs, shape)], axis=-1).astype(np.float32)
+
+    def of_clusters(self, clusters: IntArray) -> Occluders:
+        """See :class:`Features`."""
+        names = "cluster_joint", "point", "near"
+        return dataclasses.replace(self, **{name: getattr(self, name)[clusters] for name in names})
 
     def _block(self, poses: FloatArray) -> FloatArray:
         cosine, direction = self.seen(poses)

@@ -30,6 +30,7 @@ __all__ = [
 
 ARRAYS = ("input_mean", "input_basis", "latents", "receivers", "mean", "basis", "rest_tangents")
 COMPONENTS = ("basis", "scale.basis", "coding.bits", "coding.orders", "coding.profile")
+INPUT_PCA = ("input_basis", "scale.input_basis")
 LAYERS = ("weight", "bias", "hidden_weight", "hidden_bias")  # of the regressor
 
 
@@ -77,12 +78,25 @@ def layer_shape(name: str, arrays: Mapping[str, Any]) -> tuple[int, ...]:
     }[name]
 
 
+def with_latents(arrays: Mapping[str, Any]) -> BoolArray:
+    """Which clusters have any latents, (C,); (1,) true where all share one input PCA."""
+    clusters, latents = len(arrays["input_mean"]), arrays["latents"]
+    if clusters <= 1 or len(latents) % clusters:
+        return np.ones(clusters, dtype=bool)
+    found: BoolArray = latents.reshape(clusters, -1).any(axis=1)
+    return found
+
+
 def flattened(arrays: dict[str, Any]) -> dict[str, Any]:
     """Arrays as they are written: of the regressor's the numbers that are used, one by one.
 
     So are a column's scales. A file without hidden layers has no ``neurons``, one with them always.
+    Clusters without latents have no input PCA, where it is nothing but zeros.
     """
     flat = dict(arrays)
+    alive = with_latents(arrays)
+    if not alive.all() and not arrays["input_basis"][~alive].any():
+        flat |= {name: arrays[name][alive] for name in INPUT_PCA if name in arrays}
     for layer in LAYERS:
         name, scale = f"regressor.{layer}", f"scale.regressor.{layer}"
         if name not in arrays:
@@ -109,6 +123,14 @@ def restored(flat: Mapping[str, Any]) -> dict[str, Any]:
     arrays = dict(flat)
     if "neurons" in flat and (flat["neurons"].size == 0 or len(flat["latents"]) == 0):
         raise ValueError("neurons or latents are empty")
+    alive = with_latents(flat)
+    if len(flat["input_basis"]) < len(alive):
+        for name in INPUT_PCA:
+            if name in flat:
+                if len(flat[name]) != alive.sum():
+                    raise ValueError(f"{name} does not fit the latents")
+                arrays[name] = np.zeros((len(alive), *flat[name].shape[1:]), flat[name].dtype)
+                arrays[name][alive] = flat[name]
     for layer in LAYERS:
         name, scale = f"regressor.{layer}", f"scale.regressor.{layer}"
         if name not in flat:

@@ -25,12 +25,19 @@ from prtnet.features import (
 from prtnet.files import writing
 from prtnet.model import Regressor, VisibilityModel
 from prtnet.storage import Stored
+from training.awake import awake, awake_clusters
 from training.clamping import UnitBox, clamp_nodes, from_unit_nodes, unit_box
 from training.onnx_components import matrix_nodes
 from training.onnx_expression import Value, cross, dot, unit
 from training.onnx_graph import GraphBuilder
 from training.onnx_prior import prior_nodes
-from training.reconstruction import LatentLayer, latent_layer, visibility_nodes
+from training.reconstruction import (
+    LatentLayer,
+    Places,
+    latent_layer,
+    mean_nodes,
+    visibility_nodes,
+)
 
 __all__ = ["build_latent_onnx", "build_onnx", "export_latent_onnx", "export_onnx", "write_graph"]
 
@@ -375,10 +382,19 @@ def latent_nodes(graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer
     return graph.reshape(value, [-1, layer.bias.size])
 
 
+def all_latent_nodes(graph: GraphBuilder, model: VisibilityModel) -> tuple[str, Places]:
+    """Flat latents (P, …) of the clusters that have any, and where in them those of groups are."""
+    clusters = awake_clusters(model)
+    own = awake(model, clusters)
+    layer = latent_layer(own)
+    first = np.zeros(len(model.latents), dtype=np.int64)
+    first.reshape(-1, model.parts)[clusters] = layer.first.reshape(-1, model.parts)
+    return latent_nodes(graph, own, layer), Places(first, layer.one)
+
+
 def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
     """The model as a checked graph: ``pose`` (poses, D) in, ``visibility`` (poses, V, n²) out."""
     graph = GraphBuilder()
-    layer = latent_layer(model)
     prior = None
     if model.prior is not None:
 
@@ -386,8 +402,10 @@ def build_onnx(model: VisibilityModel) -> onnx.ModelProto:
             return model.stored(f"prior.{name}")
 
         prior = prior_nodes(graph, model.prior, stored, model.pose_size)
-    latents = latent_nodes(graph, model, layer) if model.latents.sum() > 0 else ""
-    visibility_nodes(graph, model, layer, latents, prior)
+    if model.latents.sum() > 0:
+        visibility_nodes(graph, model, *all_latent_nodes(graph, model), prior)
+    else:
+        mean_nodes(graph, model, prior)
     shape = [model.receiver_count, model.order**2]
     return graph.model(
         model.pose_size, "visibility", shape, {"prtnet": "visibility", "kind": model.kind}
@@ -402,9 +420,8 @@ def build_latent_onnx(model: VisibilityModel, scale: FloatArray) -> onnx.ModelPr
         scale: each latent is multiplied by it, (Σ latents,).
     """
     graph = GraphBuilder()
-    layer = latent_layer(model)
-    flat = latent_nodes(graph, model, layer)
-    own = [first + np.arange(n) for first, n in zip(layer.first, model.latents, strict=True)]
+    flat, places = all_latent_nodes(graph, model)
+    own = [first + np.arange(n) for first, n in zip(places.first, model.latents, strict=True)]
     value = graph.node("Gather", flat, graph.index(np.concatenate(own)), axis=1)
     graph.node("Mul", value, graph.constant(scale), output="latents")
     return graph.model(

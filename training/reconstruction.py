@@ -17,26 +17,35 @@ from prtnet.storage import Stored
 from training.onnx_components import component_nodes
 from training.onnx_graph import GraphBuilder
 
-__all__ = ["LatentLayer", "latent_layer", "visibility_nodes"]
+__all__ = ["LatentLayer", "Places", "latent_layer", "mean_nodes", "visibility_nodes"]
 
 
 @dataclass(frozen=True, eq=False)
-class LatentLayer:
-    """The layer that gives every cluster's latents, and where to find them.
+class Places:
+    """Where in flat latents to find them.
+
+    Attributes:
+        first: where each group's latents begin, (G,); anything for a group that has none.
+        one: where there is a one.
+    """
+
+    first: IntArray
+    one: int
+
+
+@dataclass(frozen=True, eq=False)
+class LatentLayer(Places):
+    """The layer that gives every cluster's latents, and where in the flattened (C · M) they are.
 
     Attributes:
         weight, bias: (C, N or K, M) as stored and (C, 1, M): the latents of a cluster's groups
             side by side, then zeros.
         ones: (C, 1, M), a one in the last column: what is added to the latents, after they fade.
-        first: where each group's latents begin in the flattened (C · M), (G,).
-        one: where there is a one.
     """
 
     weight: Stored
     bias: FloatArray
     ones: FloatArray
-    first: IntArray
-    one: int
 
 
 def latent_layer(model: VisibilityModel) -> LatentLayer:
@@ -58,17 +67,15 @@ def latent_layer(model: VisibilityModel) -> LatentLayer:
         values[cluster[group], :, own] = stored.values[group, :, :count]
         scale[cluster[group], 0, own] = every[group, 0, :count]
         bias[cluster[group], 0, own] = model.regressor.bias[group, :count]
-    return LatentLayer(Stored(values, scale), bias, ones, cluster * width + before, width - 1)
+    first = cluster * width + before
+    return LatentLayer(first, width - 1, Stored(values, scale), bias, ones)
 
 
 def visibility_nodes(
-    graph: GraphBuilder, model: VisibilityModel, layer: LatentLayer, latents: str,
+    graph: GraphBuilder, model: VisibilityModel, latents: str, places: Places,
     prior: str | None = None,
 ) -> None:  # fmt: skip
     """``visibility`` (P, V, n²) of flat latents (P, C · M), and of a prior's part (P, V, n²)."""
-    if int(model.latents.sum()) == 0:
-        mean_nodes(graph, model, prior)
-        return
     order = np.argsort(model.latents, kind="stable")
     coded = None
     if model.coding is not None:
@@ -76,8 +83,8 @@ def visibility_nodes(
     parts = []
     for count in np.unique(model.latents):
         groups = order[model.latents[order] == count]
-        index = np.full((len(groups), 1, count + 1), layer.one)
-        index[:, 0, :count] = layer.first[groups, None] + np.arange(count)
+        index = np.full((len(groups), 1, count + 1), places.one)
+        index[:, 0, :count] = places.first[groups, None] + np.arange(count)
         own = graph.node("Gather", latents, graph.index(index), axis=1)
         slots = graph.node("MatMul", own, row_nodes(graph, model, groups, int(count), coded))
         size = len(groups) * model.receivers.shape[1]

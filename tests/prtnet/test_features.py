@@ -186,3 +186,11 @@ def test_one_scale_is_exact_where_all_joints_are_scaled_alike():
     simpler = dataclasses.replace(features, one_scale=True)
     assert np.allclose(features(poses), simpler(poses), atol=1e-5)
     assert not np.allclose(features(random_poses(3, 4)), simpler(random_poses(3, 4)), atol=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["joint_angles", "local_joints", "occluders"])
+def test_features_of_some_clusters_are_a_part_of_all(kind):
+    features = random_features(kind, 5, 7, 3)
+    poses, some = random_poses(4, 5, morphs=2), np.array([5, 0, 2])
+    part, every = features.of_clusters(some)(poses), features(poses)
+    assert np.array_equal(part, every if kind == "joint_angles" else every[:, some])

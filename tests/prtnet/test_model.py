@@ -151,6 +151,36 @@ def test_numbers_that_nothing_uses_are_not_written(tmp_path):
         assert again.neurons.tolist() == neurons.tolist()
 
 
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("kind", ["linear", "neural"])
+def test_clusters_that_keep_their_mean_have_no_input_pca_in_the_file(storage, kind, tmp_path):
+    model = random_model(kind, clusters=9, parts=2, receivers=90)
+    alive = np.arange(9) % 4 > 0
+    latents = np.where(np.repeat(alive, 2), 2, 0).astype(np.int32)
+    model = dataclasses.replace(model, latents=latents, basis=model.basis[: latents.sum()])
+    path = tmp_path / "m.safetensors"
+
+    def rows_of(model):
+        model.stored_as(storage).save(path)
+        again, poses = VisibilityModel.load(path), random_poses(3, 5)
+        assert np.array_equal(again(poses), model.stored_as(storage)(poses))
+        assert np.array_equal(again.input_basis, model.stored_as(storage).input_basis)
+        return len(safetensors.numpy.load_file(path)["input_basis"])
+
+    assert rows_of(model) == 9  # what is there is kept
+    basis = np.where(alive[:, None, None], model.input_basis, np.float32(0.0))
+    lean = dataclasses.replace(model, input_basis=basis)
+    assert rows_of(lean) == alive.sum()
+    none = dataclasses.replace(
+        lean, latents=0 * lean.latents, basis=lean.basis[:0], input_basis=0 * basis
+    )
+    assert rows_of(none) == 0
+    rows_of(lean)
+    rewrite(path, None, lambda arrays: arrays.update(input_basis=arrays["input_basis"][1:]))
+    with pytest.raises(PrtnetError, match="input_basis does not fit the latents"):
+        VisibilityModel.load(path)
+
+
 def test_wrong_poses_are_told(tmp_path):
     model = random_model()
     with pytest.raises(PrtnetError, match=r"wants \(poses, 60\)"):
