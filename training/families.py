@@ -37,25 +37,30 @@ from training.worth import (
 
 __all__ = ["FAMILIES", "QUICK", "Candidate", "Parts", "judged", "rich_config"]
 
+SMALL = {"kind": "neural", "neurons": 16, "points": 3, "near": 24, "spheres": 64}
 FAMILIES: dict[str, dict[str, Any]] = {
     "linear": {"kind": "linear"},
-    "neural, quick": {
-        "kind": "neural", "neurons": 16, "points": 3, "near": 24, "spheres": 64, "parts": 1,
-    },
-    "neural, small": {"kind": "neural", "neurons": 16, "points": 3, "near": 24, "spheres": 64},
+    "neural, small": SMALL,
     "neural": {"kind": "neural"},
     "neural, large": {
         "kind": "neural", "neurons": 64, "inputs": 64, "points": 12, "near": 96, "spheres": 240,
     },
+    "neural, quick": {**SMALL, "parts": 1},
+    "neural, quick, half the clusters": {**SMALL, "parts": 1, "share": 1 / 2},
     "hybrid": {"kind": "hybrid"},
     "shared": {"kind": "shared"},
 }  # fmt: skip
-"""Kinds of models, the quick ones first: what each overrides in the configuration.
+"""Kinds of models: what each overrides in the configuration; ``share`` is of the clusters.
 
+Those that look around every receiver come last: a search tries them where no other will do.
 Quadratic ones are not among them: at every size another kind errs less (robot: as linear ones,
 for more bytes).
 """
-QUICK = ("neural, quick",)  # fewer groups are faster, and larger: only where time is limited
+QUICK = tuple(name for name in FAMILIES if name.startswith("neural, quick"))
+"""Fewer groups and clusters are faster, and larger: only where milliseconds are what limits.
+
+A quarter of the clusters is slower for the same error (human), since those left out cost nothing.
+"""
 RICH = 24  # components a group, on average, before the search drops what is not worth it
 RICH_AROUND = 16  # beside a prior, where less is left
 PARTS = 8  # groups a cluster: each keeps what it is worth
@@ -109,7 +114,9 @@ class Candidate:
 def rich_config(dataset: Dataset, base: TrainConfig, options: dict[str, Any]) -> TrainConfig:
     """A family's configuration, with more components than it will keep."""
     receivers = len(dataset.rest_tangents)
-    clusters = max(1, min(base.clusters, receivers // FEWEST))
+    options = dict(options)
+    share = options.pop("share", 1.0)
+    clusters = max(1, round(share * min(base.clusters, receivers // FEWEST)))
     parts = int(np.clip(receivers // clusters // FEWEST, 1, PARTS))
     parts = 1 if options["kind"] in AROUND else options.get("parts", parts)
     latents = parts * (RICH_AROUND if options["kind"] in AROUND else RICH)

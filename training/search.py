@@ -35,7 +35,7 @@ from training.train import (
     with_training_range,
 )
 
-__all__ = ["Candidates", "Choice", "best", "compare", "kept", "search"]
+__all__ = ["Candidates", "Choice", "best", "compare", "feasible", "found", "kept", "search"]
 
 CHOSEN = (
     "kind", "parts", "latents", "step", "output_variance", "storage", "frame", "target",
@@ -119,6 +119,22 @@ class Candidates:
             self.alphas[config.kind] = self.fitted[family].models[0].metadata["alpha"]
         return self.fitted[family]
 
+    def held_back(self, choice: Choice) -> bool:
+        """Whether a limit keeps it from the size of the least error."""
+        return choice.size < int(np.argmin(self[choice.family].errors))
+
+    def worth_few_groups(self, choices: list[Choice], budget: Budget) -> bool:
+        """Whether to try kinds that buy milliseconds with megabytes.
+
+        Not where smaller ones meet a limit on the error, or none is held back.
+        """
+        if budget.max_ms is None:
+            return False
+        usual = [choice for choice in choices if choice.family not in QUICK]
+        if budget.max_error is not None:
+            return not any(choice.meets for choice in usual)
+        return any(self.held_back(choice) for choice in usual)
+
     def worth_a_prior(
         self, family: str, choices: list[Choice], budget: Budget,
         milliseconds: Callable[[bytes], float],
@@ -180,13 +196,23 @@ def search(
             searches = "--kind auto, --max-error, --max-ms and --max-mb"
             raise PrtnetError(option, f"is chosen by {searches}; leave it, or its preset, out")
     candidates = Candidates(dataset, base, monitor)
-    if not budget:
-        budget = sensible(candidates)
+    model = found(candidates, budget or sensible(candidates), milliseconds)
+    model.metadata["seconds"]["total"] = time.perf_counter() - started
+    return model
+
+
+def found(
+    candidates: Candidates, budget: Budget, milliseconds: Callable[[bytes], float]
+) -> VisibilityModel:
+    """The cheapest of some kinds within a budget, as :func:`search` gives it.
+
+    Raises:
+        PrtnetError: no model meets the limits.
+    """
     choices = compare(candidates, budget, milliseconds)
     chosen = best(choices, budget)
     model = candidates.finished(chosen)
-    report_errors(model, dataset, candidates.watch)
-    model.metadata["seconds"]["total"] = time.perf_counter() - started
+    report_errors(model, candidates.dataset, candidates.watch)
     model.metadata["search"] = {
         "budget": dataclasses.asdict(budget),
         "chosen": dataclasses.asdict(chosen),
@@ -197,20 +223,29 @@ def search(
 
 
 def sensible(candidates: Candidates) -> Budget:
-    """A little more than the least error of the kinds that are quick, or of all for point caches.
+    """A little more than the least error of the kinds that fit in seconds, or of all for caches.
 
-    The quick kinds look at a cache's dihedral angles alone, which tell little of its shadows.
+    Those look at a cache's dihedral angles alone, which tell little of its shadows.
     """
-    every = candidates.dataset.scene_kind == "point_cache"
-    tried = [
-        name
-        for name, own in FAMILIES.items()
-        if name not in QUICK and (every or own["kind"] not in AROUND)
-    ]
-    least = min(float(candidates[name].errors.min()) for name in tried)
+    least, _ = feasible(candidates, around=candidates.dataset.scene_kind == "point_cache")
     if SENSIBLE * least >= 1.0:  # nothing tells anything of these poses
         return Budget(max_mb=ANY_SIZE)
     return Budget(max_error=max(SENSIBLE * least, 1e-6))
+
+
+def feasible(candidates: Candidates, around: bool = False) -> tuple[float, float]:
+    """The least error that kinds without a prior are expected to reach, and that of means alone.
+
+    Args:
+        candidates: fits them.
+        around: whether to fit kinds with a prior as well, which takes minutes.
+    """
+    tried = [
+        candidates[name].errors
+        for name, own in FAMILIES.items()
+        if name not in QUICK and (around or own["kind"] not in AROUND)
+    ]
+    return min(float(errors.min()) for errors in tried), float(tried[0][0])
 
 
 def compare(
@@ -219,7 +254,7 @@ def compare(
     """Every kind worth trying at its best size."""
     choices: list[Choice] = []
     for family, options in FAMILIES.items():
-        if family in QUICK and budget.max_ms is None:
+        if family in QUICK and not candidates.worth_few_groups(choices, budget):
             continue
         if options["kind"] in AROUND and not candidates.worth_a_prior(
             family, choices, budget, milliseconds

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import onnx
 import pytest
 
 from prtnet.errors import PrtnetError
@@ -13,6 +14,7 @@ from training import families
 from training import search as module
 from training.budget import Budget
 from training.config import TrainConfig
+from training.graph_cost import operations
 from training.onnx_export import build_onnx
 from training.search import search
 from training.train import Fitting, train
@@ -84,13 +86,51 @@ def test_priors_are_for_what_nothing_else_meets(monkeypatch):
     assert {each["family"] for each in small["compared"]} == set(module.FAMILIES) - {*module.QUICK}
 
 
+def tried(model):
+    return {each["family"] for each in model.metadata["search"]["compared"]}
+
+
 def test_milliseconds_are_kept_to():
     data = scene()
     model = search(data, SMALL, Budget(max_ms=0.5), by_size)
     chosen = model.metadata["search"]["chosen"]
     assert chosen["ms"] <= 0.5
-    assert module.QUICK[0] in {each["family"] for each in model.metadata["search"]["compared"]}
     assert chosen["ms"] == pytest.approx(by_size(build_onnx(model).SerializeToString()), rel=0.1)
+
+
+def by_work(proto):
+    """Milliseconds that are arithmetic, a million operations each."""
+    return operations(onnx.load_from_string(proto)) / 1e6
+
+
+def test_fewer_clusters_are_tried_where_milliseconds_hold_others_back():
+    data, quick = scene(), set(module.QUICK)
+    free = search(data, SMALL, Budget(max_ms=1e3), by_work)
+    assert not tried(free) & quick
+    times = {each["family"]: each["ms"] for each in free.metadata["search"]["compared"]}
+    model = search(data, SMALL, Budget(max_ms=0.9 * min(times.values())), by_work)
+    assert tried(model) >= quick
+    compared = model.metadata["search"]["compared"]
+    assert model.metadata["search"]["chosen"] == min(
+        (each for each in compared if each["meets"]), key=lambda each: each["error"]
+    )
+    loose = search(data, SMALL, Budget(max_ms=1e3, max_error=0.9), by_work)
+    assert not tried(loose) & quick
+
+
+def test_fewer_clusters_are_a_share_of_those_asked_for():
+    data = scene()
+    for asked, expected in ((2, [2, 1]), (1000, [3, 2]), (1, [1, 1])):
+        base = dataclasses.replace(SMALL, clusters=asked)
+        configs = [
+            families.rich_config(data, base, families.FAMILIES[name]) for name in module.QUICK
+        ]
+        most = min(asked, len(data.rest_tangents) // families.FEWEST)
+        assert [config.clusters for config in configs] == expected
+        assert configs[0].clusters == most
+        assert {config.parts for config in configs} == {1}
+    model = module.Candidates(data, SMALL)[module.QUICK[-1]].models[0]
+    assert len(model.receivers) == 2
 
 
 @pytest.mark.parametrize(
