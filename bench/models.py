@@ -16,6 +16,7 @@ from tables import HUMAN, OUT, ROBOT, dataset, per_cent, publish
 from prtnet.arrays import IntArray
 from prtnet.dataset import SAMPLED, Dataset
 from prtnet.evaluation import NearestPose, dataset_truth, evaluate
+from prtnet.model import VisibilityModel
 from runtime.onnx_model import OnnxModel
 from training.config import PRESETS, TrainConfig
 from training.graph_cost import operations
@@ -30,6 +31,11 @@ COLUMNS = (
 
 def row(name: str, data: Dataset, config: TrainConfig) -> list[str]:
     """Train, export and evaluate one model."""
+    return measured(name, data, config)[0]
+
+
+def measured(name: str, data: Dataset, config: TrainConfig) -> tuple[list[str], VisibilityModel]:
+    """A row of the table, and its model."""
     started = time.perf_counter()
     model = train(data, config)
     print(f"{name}: trained in {time.perf_counter() - started:.0f} s", flush=True)
@@ -39,7 +45,7 @@ def row(name: str, data: Dataset, config: TrainConfig) -> list[str]:
     blocks = dataset_truth(model, data, data.held_out)
     result = evaluate(model, predict, blocks, NearestPose(data))
     milliseconds = predict.milliseconds(data.read("pose", slice(1)), repeats=300)
-    return [
+    cells = [
         name,
         *(per_cent(result[key]) for key in ("rms", "p99", "signal", "nearest", "pca_floor")),
         f"{proto.ByteSize() / 1e6:.2f}",
@@ -49,6 +55,7 @@ def row(name: str, data: Dataset, config: TrainConfig) -> list[str]:
         f"{model.metadata['alpha']:.2g}",
         f"{model.metadata['seconds']['fit']:.1f}",
     ]
+    return cells, model
 
 
 class ClipsOnly(Dataset):
