@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from prtnet.cli_options import ReportOptions
     from prtnet.console import Report
     from prtnet.dataset import Dataset
-    from prtnet.evaluation import NearestPose
     from prtnet.model import VisibilityModel
-    from training.sweep import Candidate
 
 __all__ = ["in_figures", "make_report"]
 
@@ -45,12 +43,11 @@ def make_report(
     import torch
 
     from prtnet.dataset import Dataset
-    from prtnet.evaluation import NearestPose
     from prtnet.files import writing
     from prtnet.light import load_light
     from prtnet.report import assemble, dataset_facts
     from runtime.report_page import page
-    from training.sweep import candidates
+    from training.sweep import SEARCHED, candidates, fitted, searched
 
     torch.set_num_threads(threads)
     dataset = Dataset.open(options.dataset)
@@ -58,64 +55,93 @@ def make_report(
     if facts["judged_poses"] == 0:
         raise PrtnetError(options.dataset, "has no poses of clips to judge by; generate some")
     light = load_light(options.light, dataset.order)
+    judge = Judge(dataset, facts["clips"], threads)
     chosen = candidates(dataset.scene_kind, facts["receivers"], options.quick, options.device)
-    models: list[dict[str, Any]] = []
-    best: VisibilityModel | None = None
-    alphas: dict[str, float] = {}  # chosen with the first model of each family
-    for index, candidate in enumerate(chosen):
-        progress("models", index, len(chosen), candidate.name)
-        nearest = NearestPose(dataset) if index == 0 else None
-        if candidate.family in alphas:
-            candidate = candidate.with_alpha(alphas[candidate.family])
-        figures, model = measured(candidate, dataset, facts["clips"], nearest, threads)
-        models.append(figures)
-        alphas[candidate.family] = figures["alpha"]
-        if figures["evaluation"]["rms"] <= min(m["evaluation"]["rms"] for m in models):
-            best = model
-    progress("models", len(chosen), len(chosen))
-    results = assemble(facts, models)
-    assert best is not None
+    # What kinds without a prior see of a point cache tells too little to search among them.
+    search = not options.quick and dataset.scene_kind == "skinned"
+    total = len(chosen) + (SEARCHED if search else 0)
+    progress("models", 0, total, chosen[0].name)
+    for index, (candidate, model) in enumerate(fitted(dataset, chosen), start=1):
+        judge.add(model, candidate.name, candidate.family)
+        following = chosen[index].name if index < len(chosen) else "a search"
+        progress("models", index, total, following if index < total else "")
+    if search:
+        try:
+            found = searched(dataset, options.device, judge.milliseconds)
+            for index, model in enumerate(found, start=len(chosen) + 1):
+                limit = model.metadata["search"]["budget"]["max_error"]
+                judge.add(model, f"searched, {100 * limit:.3g} % expected", "searched")
+                progress("models", index, total, "a search")
+        except PrtnetError as error:
+            say(f"no models by a search: {error}")
+    progress("models", total, total)
+    results = assemble(facts, judge.figures)
+    assert judge.best is not None
     progress("pictures", 0, 0)
-    images = draw(results, best, dataset, light, options.renderer, say)
+    images = draw(results, judge.best, dataset, light, options.renderer, say)
     progress("pictures", 1, 1)
     with writing(options.out) as partial:
         partial.write_text(page(results, images), encoding="utf-8")
     return results
 
 
-def measured(
-    candidate: Candidate,
-    dataset: Dataset,
-    clips: Sequence[str],
-    nearest: NearestPose | None,
-    threads: int,
-) -> tuple[dict[str, Any], VisibilityModel]:
-    """Fit one model and judge it by the clips: its figures, and the model."""
-    from prtnet.evaluation import dataset_truth, evaluate
-    from runtime.onnx_model import OnnxModel
-    from training.onnx_export import build_onnx
-    from training.train import train
+class Judge:
+    """Judges models by clips of a dataset, one after the other.
 
-    model = train(dataset, candidate.config)
-    proto = build_onnx(model).SerializeToString()
-    predict = OnnxModel(proto, threads)
-    clusters = len(model.latents) // model.parts
-    evaluation = evaluate(model, predict, dataset_truth(model, dataset, clips), nearest)
-    return {
-        "name": candidate.name,
-        "family": candidate.family,
-        "evaluation": evaluation,
-        "model_bytes": len(proto),
-        "ms_per_pose": predict.milliseconds(dataset.read("pose", slice(1))),
-        "fit_seconds": model.metadata["seconds"]["fit"],
-        "train_seconds": model.metadata["seconds"]["total"],
-        "training_rms": model.metadata["training_error"]["rms"],
-        "alpha": model.metadata["alpha"],
-        "clusters": clusters,
-        "latents": float(model.latents.sum() / clusters),
-        "inputs": int(model.input_basis.shape[2]),
-        "config": model.metadata["config"],
-    }, model
+    Args:
+        dataset: with the clips.
+        clips: their names.
+        threads: of the processor.
+
+    Attributes:
+        figures: of every model so far, for ``prtnet.report.assemble``.
+        best: the most accurate so far.
+    """
+
+    def __init__(self, dataset: Dataset, clips: Sequence[str], threads: int) -> None:
+        self.dataset, self.clips, self.threads = dataset, clips, threads
+        self.figures: list[dict[str, Any]] = []
+        self.best: VisibilityModel | None = None
+
+    def milliseconds(self, proto: bytes) -> float:
+        """Of one pose in a graph."""
+        from runtime.onnx_model import OnnxModel
+
+        pose = self.dataset.read("pose", slice(1))
+        return OnnxModel(proto, self.threads).milliseconds(pose)
+
+    def add(self, model: VisibilityModel, name: str, family: str) -> None:
+        """Judge one more; the first also tells of the nearest training poses."""
+        from prtnet.evaluation import NearestPose, dataset_truth, evaluate
+        from runtime.onnx_model import OnnxModel
+        from training.onnx_export import build_onnx
+
+        proto = build_onnx(model).SerializeToString()
+        predict = OnnxModel(proto, self.threads)
+        clusters = len(model.latents) // model.parts
+        blocks = dataset_truth(model, self.dataset, self.clips)
+        nearest = None if self.figures else NearestPose(self.dataset)
+        evaluation = evaluate(model, predict, blocks, nearest)
+        facts = model.metadata
+        self.figures.append(
+            {
+                "name": name,
+                "family": family,
+                "evaluation": evaluation,
+                "model_bytes": len(proto),
+                "ms_per_pose": predict.milliseconds(self.dataset.read("pose", slice(1))),
+                "fit_seconds": facts["seconds"]["fit"],
+                "train_seconds": facts["seconds"]["total"],
+                "training_rms": facts.get("training_error", {"rms": None})["rms"],
+                "alpha": facts["alpha"],
+                "clusters": clusters,
+                "latents": float(model.latents.sum() / clusters),
+                "inputs": int(model.input_basis.shape[2]),
+                "config": facts["config"],
+            }
+        )
+        if evaluation["rms"] <= min(each["evaluation"]["rms"] for each in self.figures):
+            self.best = model
 
 
 def draw(

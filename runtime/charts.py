@@ -1,7 +1,7 @@
 """Small charts as hand-written SVG, to stand inside an HTML page without a script.
 
 Colours are classes (``s0`` … ``s7``, ``axis``, ``grid``, ``front``), set by the page's style sheet
-for light and dark; every series has a marker of its own besides, so that colour is never needed.
+for light and dark; eight series have a marker of their own besides, so that colour is not needed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["Axis", "Reference", "Series", "legend", "marker", "scatter"]
 
 WIDTH, HEIGHT = 480, 360
 LEFT, RIGHT, TOP, BOTTOM = 62, 20, 14, 54  # margins around the plot
-SERIES = 8  # colours and markers, then they come round again
+SERIES = 8  # colours and markers, then the same colours with other markers
 MOST_TICKS = 7
 LOG_STEPS = (
     (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8),
@@ -106,7 +106,7 @@ def scatter(
     """A chart of points.
 
     Args:
-        series: at most eight are told apart by colour and marker.
+        series: the first eight differ in colour and in marker, more in one of both.
         x: the horizontal axis.
         y: the vertical axis.
         description: what the chart shows, for readers who do not see it.
@@ -125,19 +125,24 @@ def scatter(
         parts.append(steps(front, x, y))
     for index, each in enumerate(series):
         places = [at(point, x, y) for point in each.points]
-        kind = index % SERIES
+        kind, shape = look(index)
         if each.joined and len(places) > 1:
             line = " ".join(f"{a:.1f},{b:.1f}" for a, b in places)
             parts.append(f'<polyline class="line s{kind}" points="{line}"/>')
         for place, label in zip(places, each.labels, strict=True):
             parts.append(
-                f'<g class="s{kind}"><title>{html.escape(label)}</title>{marker(kind, *place)}</g>'
+                f'<g class="s{kind}"><title>{html.escape(label)}</title>{marker(shape, *place)}</g>'
             )
     body = "\n".join(parts)
     return (
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
         f'aria-label="{html.escape(description, quote=True)}">\n{body}\n</svg>'
     )
+
+
+def look(index: int) -> tuple[int, int]:
+    """Colour and marker of a series: no two of the first 64 have both in common."""
+    return index % SERIES, (index + index // SERIES) % SERIES
 
 
 def at(point: tuple[float, float], x: Axis, y: Axis) -> tuple[float, float]:
@@ -224,8 +229,8 @@ def marker(kind: int, x: float, y: float, size: float = 5.5) -> str:
 def legend(names: Sequence[str]) -> str:
     """A list of the series with their markers, as HTML."""
     items = "".join(
-        f'<li><svg class="key" viewBox="0 0 16 16" aria-hidden="true"><g class="s{k % SERIES}">'
-        f"{marker(k % SERIES, 8.0, 8.0)}</g></svg>{html.escape(name)}</li>"
-        for k, name in enumerate(names)
+        f'<li><svg class="key" viewBox="0 0 16 16" aria-hidden="true"><g class="s{colour}">'
+        f"{marker(shape, 8.0, 8.0)}</g></svg>{html.escape(name)}</li>"
+        for name, (colour, shape) in zip(names, map(look, range(len(names))), strict=True)
     )
     return f'<ul class="legend">{items}</ul>'

@@ -16,6 +16,10 @@ __all__ = ["page"]
 
 Report = Mapping[str, Any]
 
+SEARCH = (
+    "Searched models are what prtnet train --max-error finds for so much expected error; the first "
+    "has the seconds of fitting all that they are chosen from. "
+)
 NO_DISTANCE = 1e-3  # what training poses themselves have, by rounding
 
 
@@ -251,8 +255,10 @@ def model_section(report: Report) -> str:
             "kept components cannot express; variance kept says the same as a share of the "
             "deviation from the mean. Inputs and latents are numbers a cluster. Fit is the final "
             "fit alone; training in all has clusters and components besides, and for the first of "
-            "a family the choice of weight decay by cross-validation, which the others take over. "
-            "Coherence is how much the error moves from pose to pose, beside the truth: a model "
+            "a family the choice of weight decay by cross-validation, which the others take over; "
+            "models in fewer bits are those above, rounded, with their seconds. "
+            + (SEARCH if any(m["family"] == "searched" for m in models) else "")
+            + "Coherence is how much the error moves from pose to pose, beside the truth: a model "
             "that never changes has 1, less is steadier, more flickers. The most accurate stands "
             "out."
         ),

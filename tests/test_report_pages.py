@@ -88,6 +88,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
         with pytest.MonkeyPatch.context() as patch:
             for sizes in ("SIZES", "AROUND_SIZES"):
                 patch.setattr(f"training.sweep.{sizes}", {"small": TINY, "medium": TINY})
+            patch.setattr("training.sweep.SEARCH_BASE", TINY)
             argv = ["report", data, "--out", out, "--json", str(folder / f"{name}.json")]
             argv += ["--renderer", "cpu", "--threads", "1", "--quiet"]
             assert cli.run(argv + (["--quick"] if name == "seen" else [])) == 0
@@ -157,14 +158,35 @@ def test_held_out_clips_are_told_apart_from_training(work: Path) -> None:
     assert held_told["dataset"]["clips"] == ["later & <b>"]
     assert "holds out no clip" not in held
     assert "later &amp; &lt;b&gt;" in held
-    assert len(seen_told["models"]) == 4
-    assert len(held_told["models"]) == 12
+    assert len(seen_told["models"]) == 6
+    assert len(held_told["models"]) == 12 + 6 + 3
+
+
+def test_models_in_fewer_bits_and_searched_ones_are_on_the_page(work: Path) -> None:
+    text, told = read(work, "held")
+    models = {model["name"]: model for model in told["models"]}
+    whole, eight, four = (
+        models[f"neural, occluders{bits}, small"] for bits in ("", ", 8 bits", ", 4 bits")
+    )
+    assert whole["model_bytes"] > eight["model_bytes"] > four["model_bytes"]
+    assert eight["rms"] == pytest.approx(whole["rms"], rel=0.05)
+    assert eight["training_rms"] is None
+    assert [model["on_size_front"] for model in (whole, eight)] == [False, True]
+    (row,) = [row for row in Page(text).rows if row[0] == "neural, occluders, 8 bits, small"]
+    assert row[3] == "–"  # its training error
+    found = [model for name, model in models.items() if name.startswith("searched, ")]
+    assert len(found) == 3
+    assert all(model["config"]["storage"] == "int4" for model in found)
+    assert "earched" in text
+    assert "earched" not in read(work, "seen")[0]
 
 
 def test_larger_models_take_over_the_weight_decay(work: Path) -> None:
     _, told = read(work, "held")
-    for small, medium in zip(told["models"][::2], told["models"][1::2], strict=True):
-        assert medium["config"]["alpha"] == small["alpha"]
+    models = [model for model in told["models"] if model["family"] != "searched"]
+    for small, medium in zip(models[::2], models[1::2], strict=True):
+        if small["config"]["storage"] == "float32":
+            assert medium["config"]["alpha"] == small["alpha"]
         assert small["family"] == medium["family"]
 
 
@@ -186,9 +208,10 @@ def test_pictures_are_on_the_page(work: Path) -> None:
 
 
 def test_figures_are_those_of_evaluate(work: Path) -> None:
-    """The best model, fitted again as its configuration says, errs the same."""
+    """The best model that was fitted, fitted again as its configuration says, errs the same."""
     _, told = read(work, "held")
-    (best,) = [model for model in told["models"] if model["name"] == told["best"]]
+    whole = [m for m in told["models"] if m["config"]["storage"] == "float32"]
+    best = min(whole, key=lambda model: model["rms"])
     chosen = {name: best["config"][name] for name in ("kind", "features", "clusters", "latents",
               "neurons", "points", "near", "spheres", "iterations")}  # fmt: skip
     options = [word for n, v in chosen.items() for word in (f"--{n}", str(v))]

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from runtime.charts import HEIGHT, WIDTH, Axis, Reference, Series, legend, marker, scatter
+from runtime.charts import HEIGHT, WIDTH, Axis, Reference, Series, legend, look, marker, scatter
 
 X = Axis("cost", 1.0, 100.0, log=True)
 Y = Axis("error, %", 0.0, 10.0)
@@ -79,3 +79,9 @@ def test_what_is_not_finite_is_refused() -> None:
 
 def test_markers_differ() -> None:
     assert len({marker(kind, 10.0, 10.0) for kind in range(6)}) == 6
+
+
+def test_many_series_differ_in_colour_or_marker() -> None:
+    looks = [look(k) for k in range(64)]
+    assert len(set(looks)) == 64
+    assert looks[:8] == [(k, k) for k in range(8)]
