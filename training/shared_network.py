@@ -18,6 +18,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from prtnet.arrays import FloatArray
+from prtnet.errors import PrtnetError
 from training.prior_samples import Samples
 
 __all__ = ["Layers", "NetworkConfig", "fit_network"]
@@ -89,6 +90,9 @@ def fit_network(
         config: size and effort.
         device: where torch computes.
         on_step: called now and then with steps done, steps in all and the relative loss.
+
+    Raises:
+        PrtnetError: the loss is not finite.
     """
     generator = torch.Generator().manual_seed(config.seed)
     features = torch.from_numpy(samples.features).to(device)
@@ -136,6 +140,12 @@ def fit_network(
                 mean_of.lerp_(now, 1.0 - keep)
         if step % 50 == 49 or step + 1 == config.steps:
             recent = float(loss.detach())
+            if not math.isfinite(recent):
+                raise PrtnetError(
+                    "training data", f"the shared network's loss is not finite after {step + 1} "
+                    "steps: visibility or what receivers see is beyond single precision; check "
+                    "the dataset, or train --kind hybrid"
+                )  # fmt: skip
             if on_step is not None:
                 on_step(step + 1, config.steps, recent)
     return folded(smooth, shift, scale, recent)

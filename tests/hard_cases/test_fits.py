@@ -10,12 +10,15 @@ import pytest
 import torch
 
 from prtnet.errors import PrtnetError
+from prtnet.storage import STORAGES
+from runtime.onnx_model import OnnxModel
 from tests.hard_cases.test_training import fitted
-from tests.models import random_poses
+from tests.models import random_model, random_poses
 from tests.training.data import memory_dataset
 from tests.training.test_regression import problem
 from tests.training.test_train import SMALL
 from training import regression
+from training.onnx_export import build_onnx
 from training.regression import fit_linear, fit_neural
 from training.train import train
 
@@ -144,8 +147,26 @@ def test_half_precision_extremes(kind, features, extreme):
     data.read("pose")[1::3, 7::12] = extreme
     data.read("visibility")[::2, 3] = extreme
     model = train(data, dataclasses.replace(SMALL, kind=kind, features=features))
-    assert np.isfinite(model(data.read("pose"))).all()
-    assert np.isfinite(model(random_poses(5, 4, seed=9))).all()
+    poses = np.concatenate([data.read("pose"), random_poses(5, 4, seed=9)])
+    for storage in STORAGES:
+        stored = model.stored_as(storage)
+        answer = stored(poses)
+        assert np.isfinite(answer).all()
+        graph = OnnxModel(build_onnx(stored).SerializeToString(), threads=1)
+        assert np.isfinite(graph(poses)).all()
+
+
+@pytest.mark.parametrize("magnitude", [6e-8, 1e-3, 65504.0, 1e8])
+def test_half_precision_keeps_models_of_any_magnitude(magnitude):
+    """What is stored in halves has scales beside it, so that neither end of them is reached."""
+    model = random_model(receivers=300)
+    rows = {name: getattr(model, name) * np.float32(magnitude) for name in ("mean", "basis")}
+    model = dataclasses.replace(model, **rows)
+    poses = random_poses(4, 5)
+    expected, answer = model(poses), model.stored_as("float16")(poses)
+    # Means are kept as deviations from a half-open hemisphere.
+    bound = 3e-3 * np.linalg.norm(expected) + 1e-3 * expected.size**0.5
+    assert np.linalg.norm(answer - expected) < bound
 
 
 def test_restarts_keep_the_best():

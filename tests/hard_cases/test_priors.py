@@ -7,7 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from prtnet.errors import PrtnetError
 from prtnet.metrics import relative_rms
+from prtnet.storage import STORAGES
 from runtime.onnx_model import OnnxModel
 from tests.models import random_model, random_poses
 from tests.priors import beside_prior, random_prior, sheet_with_prior
@@ -19,6 +21,7 @@ from training.onnx_export import build_onnx
 from training.train import train
 
 KINDS = ["hybrid", "shared"]
+HALF = float(np.finfo(np.float16).max)
 
 
 def fitted(data, kind, **options):
@@ -171,3 +174,44 @@ def test_a_shader_of_a_sheet_that_is_crumpled_flat_or_far_away(kind):
                      np.round((poses[-1] + 512.0) * 4096) / 4096]).astype(np.float32)  # fmt: skip
     expected = model(hard)
     assert np.abs(shaded(model, hard) - expected).max() <= 3e-6 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_weight_decay_at_all(kind):
+    data = memory_dataset(clips=2, per_clip=3)
+    model = fitted(data, kind, latents=4, alpha=0.0)
+    truth = data.read("visibility", data.training_poses())
+    value = model(np.concatenate([data.read("pose"), random_poses(9, 4, seed=9)]))
+    assert (value >= truth.min() - 1e-6).all()
+    assert (value <= truth.max() + 1e-6).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_joints_that_never_move_or_only_in_held_out_clips(kind):
+    for everywhere in (True, False):
+        data = memory_dataset()
+        poses = data.read("pose").reshape(-1, 4, 3, 4)
+        rows = slice(None) if everywhere else data.training_poses()
+        poses[rows, 2, :, :3] = poses[rows, 1, :, :3]  # at rest on its parent
+        model = fitted(data, kind, latents=4)
+        held = data.held_out_poses()
+        value, truth = model(data.read("pose", held)), data.read("visibility", held)
+        assert relative_rms(value, truth) < 0.5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("extreme", [HALF, 6e-8])
+def test_half_precision_extremes(kind, extreme):
+    data = memory_dataset()
+    data.read("visibility")[::2, 3] = extreme
+    model = fitted(data, kind, latents=4)
+    everywhere = np.concatenate([data.read("pose"), random_poses(5, 4, seed=9)])
+    for storage in STORAGES:
+        assert np.isfinite(model.stored_as(storage)(everywhere)).all()
+
+
+def test_a_loss_that_is_not_finite_is_told():
+    data = memory_dataset()
+    data.read("visibility")[::2, 3] = 1e30
+    with pytest.raises(PrtnetError, match="shared network's loss is not finite after"):
+        fitted(data, "shared")

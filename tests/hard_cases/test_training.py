@@ -36,11 +36,12 @@ def test_one_pose(kind, features):
     assert np.allclose(model(data.read("pose")), data.read("visibility"), atol=1e-5)
 
 
+@pytest.mark.parametrize("count", [2, 6])
 @pytest.mark.parametrize(("kind", "features"), KINDS)
-def test_equal_poses(kind, features):
+def test_equal_poses(kind, features, count):
     """The same pose twice with different visibility: nothing can tell them apart."""
-    poses = np.repeat(random_poses(1, 4), 6, axis=0)
-    data = memory_dataset(poses=poses, clips=2)
+    poses = np.repeat(random_poses(1, 4), count, axis=0)
+    data = memory_dataset(poses=poses, clips=count // 2)
     data.read("visibility")[::2] += 0.5
     model = fitted(data, kind, features)
     mean = data.read("visibility", data.training_poses()).mean(axis=0)
@@ -71,9 +72,25 @@ def test_one_constant_cluster_among_others(kind, features):
     assert np.allclose(model(data.read("pose"))[:, :5], 1.0, atol=0.2)
 
 
-@pytest.mark.parametrize("kind", ["linear", "neural"])
-def test_no_weight_decay_at_all(kind):
-    fitted(memory_dataset(), kind, "joint_angles", alpha=0.0)
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+@pytest.mark.parametrize("poses", [1, 2, 8])
+def test_no_weight_decay_at_all(kind, features, poses):
+    """Also where there are fewer poses than weights, so that many fits are perfect."""
+    fitted(memory_dataset(clips=2, per_clip=poses), kind, features, alpha=0.0)
+
+
+@pytest.mark.parametrize(("kind", "features"), KINDS)
+def test_a_joint_that_never_moves(kind, features):
+    data = memory_dataset()
+    poses = data.read("pose").reshape(-1, 4, 3, 4)
+    poses[:, 2, :, :3] = poses[:, 1, :, :3]  # at rest on its parent, in every clip
+    model = fitted(data, kind, features)
+    if features == "joint_angles":
+        assert model.metadata["dropped_joints"] == ["joint2"]
+    rows = data.training_poses()
+    truth = data.read("visibility", rows)
+    mean = np.broadcast_to(truth.mean(axis=0), truth.shape)
+    assert relative_rms(model(data.read("pose", rows)), truth) < relative_rms(mean, truth)
 
 
 @pytest.mark.parametrize(("kind", "features"), KINDS)
