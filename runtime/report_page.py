@@ -17,8 +17,9 @@ __all__ = ["page"]
 Report = Mapping[str, Any]
 
 SEARCH = (
-    "Searched models are what prtnet train --max-error finds for so much expected error; the first "
-    "has the seconds of fitting all that they are chosen from. "
+    "Searched models are the smallest that are expected to err so much, as prtnet train "
+    "--max-error finds them, among kinds that fit in seconds; the first has the seconds of fitting "
+    "all that they are chosen from. "
 )
 NO_DISTANCE = 1e-3  # what training poses themselves have, by rounding
 

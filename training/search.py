@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,13 +87,21 @@ class Candidates:
         dataset: from ``prtnet generate``.
         base: options that the search does not choose.
         monitor: is told how it goes.
+        kinds: names of those to choose from, of ``FAMILIES``; all when not given.
 
     Raises:
         PrtnetError: the training clips cannot judge models.
     """
 
-    def __init__(self, dataset: Dataset, base: TrainConfig, monitor: Monitor | None = None) -> None:
+    def __init__(
+        self,
+        dataset: Dataset,
+        base: TrainConfig,
+        monitor: Monitor | None = None,
+        kinds: Sequence[str] | None = None,
+    ) -> None:
         self.dataset, self.base, self.watch = dataset, base, monitor or Silent()
+        self.kinds = {name: FAMILIES[name] for name in (FAMILIES if kinds is None else kinds)}
         self.rows = training_rows(dataset)
         folds = folds_over_moments(
             dataset.clip[self.rows],
@@ -110,9 +118,9 @@ class Candidates:
         self.alphas: dict[str, float] = {}
 
     def __getitem__(self, family: str) -> Candidate:
-        """One of ``FAMILIES``."""
+        """One of the kinds."""
         if family not in self.fitted:
-            config = rich_config(self.dataset, self.base, FAMILIES[family])
+            config = rich_config(self.dataset, self.base, self.kinds[family])
             if config.alpha is None:  # chosen once for each kind
                 config = dataclasses.replace(config, alpha=self.alphas.get(config.kind))
             self.fitted[family] = judged(self.parts, family, config, self.watch)
@@ -149,7 +157,7 @@ class Candidates:
         if budget.max_ms is None:
             return True
         self.watch.stage(f"{family}: milliseconds")
-        config = rich_config(self.dataset, self.base, FAMILIES[family])
+        config = rich_config(self.dataset, self.base, self.kinds[family])
         hasty = dataclasses.replace(config, latents=0, steps=1, samples=1, alpha=1.0)
         model = fit_model(self.dataset, self.rows[:FEW], hasty, [], Silent())
         return milliseconds(build_onnx(model).SerializeToString()) <= budget.max_ms
@@ -242,7 +250,7 @@ def feasible(candidates: Candidates, around: bool = False) -> tuple[float, float
     """
     tried = [
         candidates[name].errors
-        for name, own in FAMILIES.items()
+        for name, own in candidates.kinds.items()
         if name not in QUICK and (around or own["kind"] not in AROUND)
     ]
     return min(float(errors.min()) for errors in tried), float(tried[0][0])
@@ -253,7 +261,7 @@ def compare(
 ) -> list[Choice]:
     """Every kind worth trying at its best size."""
     choices: list[Choice] = []
-    for family, options in FAMILIES.items():
+    for family, options in candidates.kinds.items():
         if family in QUICK and not candidates.worth_few_groups(choices, budget):
             continue
         if options["kind"] in AROUND and not candidates.worth_a_prior(

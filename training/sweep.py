@@ -37,6 +37,7 @@ __all__ = [
 FEWEST_RECEIVERS = 100  # a cluster: small meshes get fewer clusters
 BITS: dict[Storage, str] = {"int8": "8 bits", "int4": "4 bits"}
 SEARCHED = 3  # models that are searched for
+SEARCH_KINDS = ("linear", "neural, small", "neural")  # what fits in seconds
 STRICT, LOOSE = 1.05, 0.8  # limits on the error, of the least expected and of that of the mean
 
 
@@ -181,8 +182,8 @@ def searched(
 ) -> Iterator[VisibilityModel]:
     """The smallest models within limits on the error, spread over what is feasible.
 
-    Kinds that look around every receiver are not among them: they take minutes to fit. The first
-    has the seconds of fitting all others.
+    Large kinds and those that look around every receiver are not among them: they take minutes to
+    fit. The first has the seconds of fitting all.
 
     Args:
         dataset: from ``prtnet generate``.
@@ -194,7 +195,8 @@ def searched(
     """
     base = fewer_clusters(SEARCH_BASE, len(dataset.rest_tangents))
     started = time.perf_counter()
-    kinds = Candidates(dataset, dataclasses.replace(base, device=device))
+    base = dataclasses.replace(base, device=device)
+    kinds = Candidates(dataset, base, kinds=SEARCH_KINDS)
     least, mean = feasible(kinds)
     strict, loose = STRICT * least, LOOSE * mean
     if 0.0 < strict < loose < 1.0:  # there is something to choose

@@ -113,9 +113,7 @@ def test_searched_models_keep_to_limits_from_loose_to_strict(monkeypatch) -> Non
     for model, limit in zip(models, limits, strict=True):
         told = model.metadata["search"]
         assert told["chosen"]["error"] <= limit
-        assert {each["family"] for each in told["compared"]} == {
-            "linear", "neural, small", "neural", "neural, large"
-        }  # fmt: skip
+        assert {each["family"] for each in told["compared"]} == set(sweep.SEARCH_KINDS)
         assert model.metadata["seconds"]["total"] > 0
     sizes = [build_onnx(model).ByteSize() for model in models]
     assert sizes[0] < sizes[-1]
@@ -127,6 +125,6 @@ def test_where_nothing_can_be_told_nothing_is_searched_for(monkeypatch) -> None:
     """A search for what is not there has no limits to keep to."""
     data = memory_dataset(clips=4)
     data.read("visibility")[:] = 1.0
-    monkeypatch.setattr(search, "FAMILIES", {"linear": {"kind": "linear", "spheres": 12}})
+    monkeypatch.setattr(sweep, "SEARCH_KINDS", ("linear",))
     monkeypatch.setattr(sweep, "SEARCH_BASE", SMALL)
     assert list(searched(data, "cpu", lambda _: 1.0)) == []
