@@ -63,7 +63,12 @@ LARGEST = 100.0
 
 
 def fit_lobes(
-    target: FloatArray, count: int = 3, starts: int = STARTS, good: float = 0.0, seed: int = 0
+    target: FloatArray,
+    count: int = 3,
+    starts: int = STARTS,
+    good: float = 0.0,
+    seed: int = 0,
+    ridge: float = RIDGE,
 ) -> Lobes:
     """The sums of ``count`` lobes nearest to functions, each function by itself.
 
@@ -78,6 +83,8 @@ def fit_lobes(
             the safer; for thousands of transfer vectors a few are a matter of time.
         good: random starts are for functions whose relative error is above this.
         seed: of the random starts.
+        ridge: what ‖g*‖² costs. The usual one hardly shows; where fits of many functions are to be
+            alike, 0.01 keeps lobes that meet from large coefficients of opposite sign.
 
     Returns:
         Axes (..., N, 3) and coefficients (..., N, n), in the dtype of ``target``.
@@ -87,7 +94,7 @@ def fit_lobes(
     """
     if count < 1:
         raise ValueError(f"a fit needs at least one lobe, not {count}")
-    return in_blocks(lambda block: Search(block, starts, good, seed).fit(count), target)
+    return in_blocks(lambda block: Search(block, starts, good, seed, ridge).fit(count), target)
 
 
 def fewest_lobes(target: FloatArray, most: int, error: float) -> Lobes:
@@ -111,7 +118,11 @@ def fewest_lobes(target: FloatArray, most: int, error: float) -> Lobes:
 
 
 def follow_lobes(
-    target: FloatArray, previous: Lobes, good: float = math.inf, starts: int = 0
+    target: FloatArray,
+    previous: Lobes,
+    good: float = math.inf,
+    starts: int = 0,
+    ridge: float = RIDGE,
 ) -> Lobes:
     """Fits by searches from the axes of other fits: of the frame before, or of a neighbour.
 
@@ -122,7 +133,8 @@ def follow_lobes(
         previous: as many sums of lobes, (..., N): those of functions not far away.
         good: functions that end with a relative error above this are also fitted afresh; where
             that is better, its lobes are taken, in the order that fits ``previous`` best.
-        starts: of the fresh fits, as in ``fit_lobes``.
+        starts: of the fresh fits, as in ``fit_lobes``; so is the next.
+        ridge: what ‖g*‖² costs.
 
     Returns:
         As ``fit_lobes``; lobes in the order of ``previous``.
@@ -134,11 +146,11 @@ def follow_lobes(
         )
 
     def followed(block: FloatArray, axes: FloatArray) -> Lobes:
-        search = Search(block)
+        search = Search(block, ridge=ridge)
         lobes = search.finished(search.refined(axes[:, None], ITERATIONS)[0][:, 0])
         poor = np.flatnonzero(errors(lobes, block) > good)
         if len(poor) > 0:
-            fresh = Search(block[poor], starts, good).fit(count)
+            fresh = Search(block[poor], starts, good, ridge=ridge).fit(count)
             better = errors(fresh, block[poor]) < errors(lobes[poor], block[poor])
             chosen = poor[better]
             fresh = aligned(fresh[better], lobes[chosen])
@@ -201,11 +213,16 @@ class Search:
     """
 
     def __init__(
-        self, target: FloatArray, starts: int = 0, good: float = 0.0, seed: int = 0
+        self,
+        target: FloatArray,
+        starts: int = 0,
+        good: float = 0.0,
+        seed: int = 0,
+        ridge: float = RIDGE,
     ) -> None:
         self.target, self.starts, self.good, self.seed = target, starts, good, seed
-        self.order = order_of(target)
-        self.misfit = Misfit(target, RIDGE)
+        self.order, self.ridge = order_of(target), ridge
+        self.misfit = Misfit(target, ridge)
         self.axes: FloatArray = np.empty((len(target), 0, 3))
         self.greedy_axes: FloatArray = self.axes
         self.greedy_rest: FloatArray = target
@@ -219,14 +236,14 @@ class Search:
     def grow(self) -> None:
         """Search for a fit of one lobe more: from the fit before and a further lobe, and anew."""
         basis = evaluate(self.axes, self.order)
-        rest = self.target - synthesis(basis, best_coefficients(basis, self.target))
+        rest = self.target - synthesis(basis, best_coefficients(basis, self.target, self.ridge))
         first = self.candidate(rest)
         starts = [np.concatenate([self.axes, first[:, None]], axis=1)]
         greedy = self.candidate(self.greedy_rest)
         self.greedy_axes = np.concatenate([self.greedy_axes, greedy[:, None]], axis=1)
         last = evaluate(greedy[:, None], self.order)
         self.greedy_rest = self.greedy_rest - synthesis(
-            last, best_coefficients(last, self.greedy_rest)
+            last, best_coefficients(last, self.greedy_rest, self.ridge)
         )
         count = self.greedy_axes.shape[1]
         # A single lobe: the two best of the whole sphere. More: the greedy ones.
@@ -292,10 +309,10 @@ class Search:
 
     def finished(self, axes: FloatArray) -> Lobes:
         """The lobes (B, N) about axes (B, N, 3), which move a little where the fit is near."""
-        coefficients = best_coefficients(evaluate(axes, self.order), self.target)
+        coefficients = best_coefficients(evaluate(axes, self.order), self.target, self.ridge)
         lobes = Lobes(np.array(axes), coefficients)
         near = np.flatnonzero(errors(lobes, self.target) < NEAR)
-        if len(near) > 0 and self.order > 1:
+        if self.ridge <= RIDGE and len(near) > 0 and self.order > 1:
             fine = Misfit(self.target[near], FINE_RIDGE)
             columns = np.ascontiguousarray(axes[near].transpose(2, 1, 0))
             points, values = minimise(

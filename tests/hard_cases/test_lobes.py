@@ -67,6 +67,25 @@ def test_lobes_that_meet_do_not_blow_up(gap):
         assert relative_error(target, fit) < 0.05
 
 
+def test_a_strong_ridge_keeps_lobes_that_meet_small():
+    """What is to be predicted: a little more error, coefficients as small as the function."""
+    rng = np.random.default_rng(0)
+    axes = np.array([0.0, 0.0, 1.0]) + 0.2 * rng.normal(size=(20, 3, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    target = Lobes(axes, np.tile(SHAPE, (20, 3, 1))).harmonics()
+    usual, strong = (fit_lobes(target, 2, starts=0, ridge=ridge) for ridge in (RIDGE, 1e-2))
+    most = [np.abs(fit.coefficients).max() / np.abs(target).max() for fit in (usual, strong)]
+    assert most[1] < 3.0
+    assert most[1] < 0.5 * most[0]
+    assert relative_error(target, usual) < relative_error(target, strong) < 0.1
+    followed = follow_lobes(target, usual, ridge=1e-2)
+    assert np.abs(followed.coefficients).max() < 0.5 * np.abs(usual.coefficients).max()
+    exact = Lobes(axes[:, :1], np.tile(SHAPE, (20, 1, 1))).harmonics()
+    plain, damped = (fit_lobes(exact, 1, ridge=ridge) for ridge in (RIDGE, 1e-2))
+    assert relative_error(exact, plain) < 1e-4  # a near fit goes on with a finer ridge
+    assert 1e-3 < relative_error(exact, damped) < 0.02
+
+
 def test_more_lobes_than_anything_needs():
     target = np.random.default_rng(0).normal(size=4)  # order 2: one lobe is enough
     fit = fit_lobes(target, 6)
