@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.components import Coding, coding, leading_bits
 from prtnet.errors import PrtnetError
 from prtnet.features import Features, features_from_arrays
+from prtnet.lobe_numbers import LobeNumbers
 from prtnet.model_file import (
     ARRAYS,
     check_shapes,
@@ -43,11 +45,13 @@ from prtnet.storage import (
     unpack,
 )  # fmt: skip
 from prtnet.time_range import is_seen
+from prtnet.zh import Lobes
 
-__all__ = ["FORMAT_VERSION", "KINDS", "Regressor", "VisibilityModel"]
+__all__ = ["FORMAT_VERSION", "INT4_OF_LOBES", "KINDS", "Regressor", "VisibilityModel"]
 
 FORMAT_VERSION = 2
-KINDS = ("constant", "linear", "quadratic", "neural", "hybrid", "shared")
+KINDS = ("constant", "linear", "quadratic", "neural", "hybrid", "shared", "lobes")
+INT4_OF_LOBES = "int4 is made for the bands of visibility, not for lobes; use int8"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +101,8 @@ class VisibilityModel:
         regressor: from reduced inputs to latents.
         latents: how many of the L latents each cluster uses, (C,).
         receivers: the receiver in every slot of every cluster, (C, R); −1 for an empty slot.
-        mean: each cluster's mean visibility, (C, R · n²).
+        mean: each cluster's mean visibility, (C, R · n²); of kind ``lobes`` n² is the numbers that
+            stand for a receiver's lobes, here and in ``basis``.
         basis: the clusters' principal components one after the other, (Σ latents, R · n²).
         rest_tangents: receivers' tangents at rest, (V, 3): they fix the local frames.
         metadata: format version, configuration, training and held-out errors, fingerprints; under
@@ -106,13 +111,14 @@ class VisibilityModel:
             model that neither clamps its inputs nor fades far from training.
         prior: what receivers' surroundings say of their visibility, for kinds ``hybrid`` and
             ``shared``: mean and components are then those of what it leaves. None elsewhere.
-        signal: visibility's mean over the training poses, (V, n²), beside a prior; None elsewhere,
-            where ``mean`` is just that.
+        signal: visibility's mean over the training poses, (V, n²), beside a prior and of lobes;
+            None elsewhere, where ``mean`` is just that.
         neurons: of each cluster's tanh layer, (C,): weights of the others are zero. None where all
             clusters use all.
         coding: how the components are stored; only under ``int4``.
         bounds: least and greatest value of each coefficient in training, (2, n²): beside a prior,
             which knows no mean to fade to, visibility is kept between them. None elsewhere.
+        lobes: how many zonal lobes stand for visibility; 0 but for kind ``lobes``.
     """
 
     kind: str
@@ -134,6 +140,7 @@ class VisibilityModel:
     neurons: IntArray | None = None
     coding: Coding | None = None
     bounds: FloatArray | None = None
+    lobes: int = 0
 
     @property
     def receiver_count(self) -> int:
@@ -160,6 +167,16 @@ class VisibilityModel:
     def first_component(self) -> IntArray:
         """Where each group's components begin in ``basis``, (G,)."""
         return np.cumsum(self.latents) - self.latents
+
+    @property
+    def lobe_numbers(self) -> LobeNumbers | None:
+        """How numbers stand for lobes; None where they are coefficients of visibility."""
+        return LobeNumbers(self.lobes, self.order) if self.lobes else None
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers of a receiver are predicted: n², or those that stand for its lobes."""
+        return self.lobe_numbers.size if self.lobe_numbers else self.order**2
 
     @property
     def slot_of_receiver(self) -> IntArray:
@@ -191,9 +208,14 @@ class VisibilityModel:
             storage: of the file and the export.
             how: components are coded under ``int4``; as they are already, or else the leading ones
                 in 8 bits and the others in 4, when not given.
+
+        Raises:
+            PrtnetError: lobes in ``int4``, which knows bands of coefficients.
         """
         model = dataclasses.replace(self, metadata={**self.metadata, "storage": storage})
         if storage == "int4":
+            if self.lobes:
+                raise PrtnetError("--storage", INT4_OF_LOBES)
             how = how or self.coding or self.usual_coding()
             model = dataclasses.replace(model, coding=how, basis=how.encode(self.basis).array())
         else:
@@ -246,14 +268,15 @@ class VisibilityModel:
         matrices = {"input_basis": self.input_basis, "regressor.weight": self.regressor.weight}
         if self.regressor.hidden_weight is not None:
             matrices["regressor.hidden_weight"] = self.regressor.hidden_weight
-        left = Packing(kind, axis=(-2, -1), period=self.order**2)
-        signal = dataclasses.replace(left, offset=half_open.astype(np.float32))
+        left = Packing(kind, axis=(-2, -1), period=self.numbers)
+        visible = Packing(kind, axis=(-2, -1), period=self.order**2)
+        signal = dataclasses.replace(visible, offset=half_open.astype(np.float32))
         beside = {} if self.signal is None else {"signal": signal}
         if self.prior is not None:
             own = prior_packings(self.prior, kind)
             beside |= {f"prior.{name}": packing for name, packing in own.items()}
         return {
-            "mean": signal if self.prior is None else left,
+            "mean": left if self.prior is not None or self.lobes else signal,
             **beside,
             **components,
             "rest_tangents": Packing("float16", axis=(-2, -1)),
@@ -307,6 +330,11 @@ class VisibilityModel:
 
     def decode(self, latent: FloatArray) -> FloatArray:
         """Visibility (P, V, n²) float32 of latents (P, C, L)."""
+        numbers = self.decoded(latent)
+        return self.lobe_numbers.harmonics(numbers) if self.lobe_numbers else numbers
+
+    def decoded(self, latent: FloatArray) -> FloatArray:
+        """The numbers (P, V, N) float32 of latents (P, C, L): visibility, or lobes of it."""
         clusters, width = self.mean.shape
         slots = np.empty((len(latent), clusters, width), dtype=np.float32)
         for cluster, (start, count) in enumerate(
@@ -314,10 +342,10 @@ class VisibilityModel:
         ):
             basis = self.basis[start : start + count]
             slots[:, cluster] = self.mean[cluster] + latent[:, cluster, :count] @ basis
-        return slots.reshape(len(latent), -1, self.order**2)[:, self.slot_of_receiver]
+        return slots.reshape(len(latent), -1, self.numbers)[:, self.slot_of_receiver]
 
     def encode(self, visibility: FloatArray) -> FloatArray:
-        """The latents (P, C, L) that come closest to visibility (P, V, n²)."""
+        """The latents (P, C, L) that come closest to visibility (P, V, n²), or to numbers of it."""
         clusters = len(self.receivers)
         empty = (self.receivers < 0)[..., None]
         latent = np.zeros((len(visibility), clusters, int(self.latents.max(initial=0))))
@@ -335,6 +363,17 @@ class VisibilityModel:
         self.check_pose(poses)
         return self.bounded(self.decode(self.latent(poses)) + self.prior_part(poses))
 
+    def lobes_of(self, poses: FloatArray) -> Lobes:
+        """Visibility as lobes (P, V, c), local frames, of flattened poses (P, D).
+
+        Raises:
+            PrtnetError: the model is of another kind.
+        """
+        self.check_pose(poses)
+        if self.lobe_numbers is None:
+            raise PrtnetError("model", "predicts no lobes; train one with --kind lobes")
+        return self.lobe_numbers.lobes(self.decoded(self.latent(poses)))
+
     def bounded(self, visibility: FloatArray) -> FloatArray:
         """Visibility (P, V, n²) within the bounds there are."""
         if self.bounds is None:
@@ -351,10 +390,18 @@ class VisibilityModel:
         if self.signal is not None:
             return self.signal
         nothing = np.zeros((1, len(self.latents), int(self.latents.max(initial=0))))
-        return self.decode(nothing)[0]
+        return self.decoded(nothing)[0]
+
+    @cached_property
+    def mean_lobes(self) -> Lobes:
+        """Of kind ``lobes``: what fits of visibility start from, (V, c)."""
+        return LobeNumbers(self.lobes, self.order).start(self.training_mean)
 
     def closest(self, poses: FloatArray, visibility: FloatArray) -> FloatArray:
         """The best that the components could do for visibility (P, V, n²) of poses (P, D)."""
+        if self.lobe_numbers is not None:
+            fitted = self.lobe_numbers.fitted(visibility, self.mean_lobes)
+            return self.decode(self.encode(fitted))
         known = self.prior_part(poses)
         return self.bounded(self.decode(self.encode(visibility - known)) + known)
 
@@ -372,6 +419,7 @@ class VisibilityModel:
             "order": self.order,
             "features": self.features.kind,
             "storage": self.storage,
+            **({"lobes": self.lobes} if self.lobes else {}),
         }
         arrays = {name: getattr(self, name) for name in ARRAYS} | self.training_range()
         if self.prior is not None:
@@ -426,6 +474,7 @@ class VisibilityModel:
                 prior=read_prior(header, parts["prior"]),
                 signal=arrays.get("signal"),
                 bounds=arrays.get("bounds"),
+                lobes=int(header.get("lobes", 0)),
                 neurons=neurons,
                 coding=how,
             )
@@ -438,4 +487,4 @@ class VisibilityModel:
 
 
 RANGE_ARRAYS = ("input_low", "input_high")
-AROUND_ARRAYS = ("signal", "bounds")  # of models with a prior
+AROUND_ARRAYS = ("signal", "bounds")  # of models with a prior, or of lobes

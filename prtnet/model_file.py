@@ -198,7 +198,9 @@ def read_prior(header: Mapping[str, Any], arrays: dict[str, Any]) -> Prior | Non
 def check_shapes(model: VisibilityModel) -> None:
     """Raise ValueError where arrays do not fit each other."""
     groups, slots = model.receivers.shape
-    width = slots * model.order**2
+    if model.lobes < 0 or (model.lobes > 0) != (model.kind == "lobes"):
+        raise ValueError("the number of lobes does not fit the kind")
+    width = slots * model.numbers
     expected = {
         "mean": (groups, width),
         "basis": (int(model.latents.sum()), width),
@@ -238,6 +240,8 @@ def check_shapes(model: VisibilityModel) -> None:
         if (count, model.prior.answer_size) != (model.receiver_count, size):
             raise ValueError("the prior does not fit the receivers and the order")
         every |= {f"prior.{name}": array for name, array in model.prior.arrays().items()}
+    if model.lobes and (model.signal is None or model.coding is not None):
+        raise ValueError("lobes without their signal, or coded as visibility")
     if model.signal is not None:
         if model.signal.shape != (model.receiver_count, model.order**2):
             raise ValueError("signal does not fit the receivers and the order")

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from prtnet.features import DihedralAngles, Features, JointAngles, LocalJoints, Occluders
+from prtnet.lobe_numbers import LobeNumbers
 from prtnet.model import Regressor, VisibilityModel
 from prtnet.occluders import Spheres
 
@@ -65,8 +66,11 @@ def random_model(
     seed: int = 0,
     parts: int = 1,
     clamped: bool = True,
+    lobes: int = 0,
 ) -> VisibilityModel:
     """A model whose every array is random, with groups of unequally many latents.
+
+    With ``lobes`` it is of that kind, and ``kind`` is its regressor's.
 
     With ``clamped`` it has a training range that random poses are now inside and now outside of.
     """
@@ -87,13 +91,14 @@ def random_model(
     def normal(*shape: int) -> np.ndarray:
         return rng.normal(size=shape).astype(np.float32)
 
+    numbers = LobeNumbers(lobes, order).size if lobes else order**2
     hidden = neurons if kind == "neural" else inputs
     pairs = None
     if kind == "quadratic":
         pairs = np.array([[0, 0, 1, 2, 1], [0, 1, 3, 3, 1]], dtype=np.int32)
         hidden += pairs.shape[1]
     return VisibilityModel(
-        kind=kind,
+        kind="lobes" if lobes else kind,
         order=order,
         features=seen,
         input_mean=normal(shared, width),
@@ -107,10 +112,12 @@ def random_model(
         ),
         latents=latents,
         receivers=slots.reshape(groups, capacity),
-        mean=normal(groups, capacity * order**2),
-        basis=normal(int(latents.sum()), capacity * order**2),
+        mean=normal(groups, capacity * numbers),
+        basis=normal(int(latents.sum()), capacity * numbers),
         rest_tangents=normal(receivers, 3),
         metadata={"pose_size": 12 * joints + morphs, "format_version": 2},
         input_low=-np.abs(normal(shared, inputs)) if clamped else None,
         input_high=np.abs(normal(shared, inputs)) if clamped else None,
+        signal=normal(receivers, order**2) if lobes else None,
+        lobes=lobes,
     )

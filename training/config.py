@@ -7,6 +7,7 @@ from typing import Literal
 
 from prtnet.errors import PrtnetError
 from prtnet.features import Occluders
+from prtnet.model import INT4_OF_LOBES
 from prtnet.skin_surroundings import SkinSurroundings
 from prtnet.storage import Storage
 
@@ -17,18 +18,23 @@ __all__ = ["PRESETS", "TrainConfig"]
 class TrainConfig:
     """Options of `prtnet train`."""
 
-    kind: Literal["constant", "linear", "quadratic", "neural", "hybrid", "shared", "auto"] = (
-        "neural"
-    )
+    kind: Literal[
+        "constant", "linear", "quadratic", "neural", "hybrid", "shared", "lobes", "auto"
+    ] = "neural"
     """The regressor: none at all, ridge regression on the inputs or also on the products of the
-    leading ones, or one hidden layer of tanh. Or two that see what surrounds every receiver: hybrid
-    maps it by a matrix a cluster, shared by one network for all receivers; a tanh layer a cluster
-    then corrects what is left, in so many latents. With auto a search decides, as with --max-error:
-    the smallest model within a tenth of the least error that quick kinds are expected to reach, or
-    all kinds for point caches."""
+    leading ones, or one hidden layer of tanh. Or two that see what surrounds every receiver:
+    hybrid maps it by a matrix a cluster, shared by one network for all receivers; a tanh layer
+    a cluster then corrects what is left, in so many latents. Or lobes, which a regressor of the
+    first kinds predicts in place of visibility: a few zonal lobes a receiver, quick to turn.
+    With auto a search decides, as with --max-error: the smallest model within a tenth of the
+    least error that quick kinds are expected to reach, or all kinds for point caches."""
     features: Literal["joint_angles", "local_joints", "occluders"] | None = None
     """What it sees: the papers' joint angles (dihedral angles for point caches), or what is around
     each cluster, joints or occluders; when not given, occluders for skinned scenes."""
+    lobes: int = 2
+    """Zonal lobes of each receiver's visibility; only of kind lobes."""
+    regressor: Literal["linear", "quadratic", "neural"] | None = None
+    """What predicts them; linear, as in the paper, when not given. Only of kind lobes."""
     clusters: int = 64
     """Clusters of receivers, equally large."""
     clustering: Literal["position", "weights", "rigid", "signal"] = "position"
@@ -108,7 +114,7 @@ class TrainConfig:
         least |= {"spheres": 1, "points": 1, "near": 1, "feature_order": 1, "latents": 0}
         least |= {"parts": 1, "step": 1, "leading": 1}
         least |= {"near_spheres": 1, "patches": 1, "near_patches": 1, "prior_order": 1}
-        least |= {"samples": 1, "width": 1, "depth": 1, "codes": 0, "steps": 1}
+        least |= {"lobes": 1, "samples": 1, "width": 1, "depth": 1, "codes": 0, "steps": 1}
         for name, bound in least.items():
             value = getattr(self, name)
             if value != "auto" and not value >= bound:  # so that NaN fails
@@ -118,6 +124,13 @@ class TrainConfig:
             "visibility",
         ):
             raise PrtnetError("--kind", f"{self.kind} predicts visibility in local frames only")
+        if self.kind == "lobes":
+            if self.storage == "int4":
+                raise PrtnetError("--storage", INT4_OF_LOBES)
+            if self.frame != "local":
+                raise PrtnetError("--frame", "lobes are fitted in local frames; leave it out")
+        elif self.regressor is not None:
+            raise PrtnetError("--regressor", "is that of --kind lobes; other kinds are regressors")
         if self.prior_order > SkinSurroundings.MOST_ORDER:
             raise PrtnetError("--prior-order", f"must be at most {SkinSurroundings.MOST_ORDER}")
         if self.feature_order > Occluders.MOST_ORDER:
@@ -131,6 +144,11 @@ class TrainConfig:
                 raise PrtnetError(f"--{name}", "must be a finite number, at least 0")
         if not 0 <= self.seed < 2**32:
             raise PrtnetError("--seed", "must be at least 0 and below 2^32")
+
+    @property
+    def regression(self) -> str:
+        """The kind of regressor: that of the lobes, or the model's own kind."""
+        return self.regressor or "linear" if self.kind == "lobes" else self.kind
 
 
 PRESETS: dict[str, TrainConfig] = {

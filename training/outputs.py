@@ -17,6 +17,7 @@ from prtnet.output_space import OutputSpace
 from training.clustering import cluster_receivers
 from training.clusters import cluster_coordinates, subdivide
 from training.config import TrainConfig
+from training.lobe_targets import lobe_targets
 from training.monitor import Monitor
 from training.prior_fit import fit_prior, subtract
 from training.reduction import OutputReduction, reduce_output
@@ -47,7 +48,8 @@ class Outputs:
     Attributes:
         layout: receivers taken together.
         reduction: their principal components, and the poses' latents.
-        around: a prior and what a model keeps beside it, by a model's attributes; mostly none.
+        around: a prior and what a model keeps beside it, or how many lobes it predicts and the
+            mean visibility, by a model's attributes; mostly none.
     """
 
     layout: Layout
@@ -82,6 +84,11 @@ def reduced_outputs(
     watch.stage("clusters and components")
     slots = cluster_receivers(dataset, rows, visibility, config) if layout is None else layout.slots
     around = surrounded(dataset, poses, visibility, slots, config, watch)
+    if config.kind == "lobes":
+        signal = visibility.mean(axis=0, dtype=np.float64).astype(np.float32)
+        around = {"lobes": config.lobes, "signal": signal}
+        visibility = lobe_targets(visibility, config.lobes, watch)
+        watch.stage("components of lobes")
     latents = 0.0 if config.kind == "constant" else config.latents / config.parts
     groups = layout.groups if layout else grouped(dataset, visibility, slots, config, latents)
     reduction = reduce_output(visibility, groups, config.output_variance, latents, config.step)
@@ -106,7 +113,7 @@ def surrounded(
 def grouped(
     dataset: Dataset, visibility: FloatArray, slots: IntArray, config: TrainConfig, latents: float
 ) -> IntArray:
-    """The groups of each cluster, (C · parts, R), for visibility (P, V, n²) that is to be kept."""
+    """The groups of each cluster, (C · parts, R), for numbers (P, V, N) that are to be kept."""
     coordinates = cluster_coordinates(dataset.rest_positions, dataset.joint_weights)
     groups = subdivide(slots, coordinates, config.parts, config.seed)
     return regroup(visibility, groups, config.parts, round(min(latents, len(visibility))))

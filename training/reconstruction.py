@@ -16,6 +16,7 @@ from prtnet.model import VisibilityModel
 from prtnet.storage import Stored
 from training.onnx_components import component_nodes
 from training.onnx_graph import GraphBuilder
+from training.onnx_lobes import lobe_nodes
 
 __all__ = ["LatentLayer", "Places", "latent_layer", "mean_nodes", "visibility_nodes"]
 
@@ -88,25 +89,31 @@ def visibility_nodes(
         own = graph.node("Gather", latents, graph.index(index), axis=1)
         slots = graph.node("MatMul", own, row_nodes(graph, model, groups, int(count), coded))
         size = len(groups) * model.receivers.shape[1]
-        parts.append(graph.reshape(slots, [-1, size, model.order**2]))
+        parts.append(graph.reshape(slots, [-1, size, model.numbers]))
     every = parts[0] if len(parts) == 1 else graph.node("Concat", *parts, axis=1)
     position = np.empty_like(order)
     position[order] = np.arange(len(order))
     group, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
     place = position[group] * model.receivers.shape[1] + slot
     receivers = graph.index(place)
-    if prior is None:
+    if model.lobe_numbers is None and prior is None:
         graph.node("Gather", every, receivers, axis=1, output="visibility")
         return
     own = graph.node("Gather", every, receivers, axis=1)
-    bounded_nodes(graph, model, graph.node("Add", own, prior))
+    if model.lobe_numbers is not None:
+        lobe_nodes(graph, model.lobe_numbers, own, model.receiver_count, "visibility")
+    elif prior is not None:
+        bounded_nodes(graph, model, graph.node("Add", own, prior))
 
 
 def mean_nodes(graph: GraphBuilder, model: VisibilityModel, prior: str | None) -> None:
     """``visibility`` (P, V, n²) of a model without latents: its mean, and a prior's part."""
-    means = graph.reshape(graph.stored(model.stored("mean")), [-1, model.order**2])
+    means = graph.reshape(graph.stored(model.stored("mean")), [-1, model.numbers])
     place = graph.index(model.slot_of_receiver)
     mean = graph.node("Gather", means, place, axis=0)
+    if model.lobe_numbers is not None:
+        mean = graph.reshape(mean, [1, -1, model.numbers])
+        mean = lobe_nodes(graph, model.lobe_numbers, mean, model.receiver_count)
     if prior is not None:
         bounded_nodes(graph, model, graph.node("Add", prior, mean))
         return

@@ -68,7 +68,7 @@ def reduce_output(
     once all clusters' eigenvalues are known, only those kept are computed.
 
     Args:
-        visibility: of the training poses.
+        visibility: of the training poses; or as many numbers that stand for it.
         slots: receivers of each cluster, (C, R), −1 for empty.
         variance: fraction of the model's total variance to keep.
         average: at most so many components a cluster on average.

@@ -119,7 +119,7 @@ class Fitting:
 
     def model(self, neurons: int, alpha: float, watch: Monitor) -> VisibilityModel:
         """The float32 model of a regressor that is fitted now; it neither clamps nor fades."""
-        watch.stage(f"{self.config.kind} fit, α = {alpha:g}")
+        watch.stage(f"{self.config.regression} fit, α = {alpha:g}")
         started = time.perf_counter()
         fits = fit(self.data, self.config, neurons, alpha, watch)
         seconds = {"seconds": {"fit": time.perf_counter() - started}}
@@ -258,10 +258,10 @@ def with_products_and_smoothness(
     data: Problem, dataset: Dataset, rows: IntArray, config: TrainConfig
 ) -> Problem:
     """What quadratic models and the prior of smoothness add."""
-    if config.kind == "quadratic":
+    if config.regression == "quadratic":
         products = Products(data.inputs, config.leading)
         data = dataclasses.replace(data, inputs=products(data.inputs), products=products)
-    if config.kind in ("linear", "quadratic") and config.smoothness > 0:
+    if config.regression in ("linear", "quadratic") and config.smoothness > 0:
         sampled = sampled_clip(dataset.clip_names)
         steps = consecutive(dataset.read("clip", rows), dataset.read("time", rows), sampled)
         smoothness = config.smoothness * change_covariance(data.inputs, steps)
@@ -273,7 +273,7 @@ def select(
     data: Problem, config: TrainConfig, folds: list[Fold], watch: Monitor
 ) -> tuple[int, float, dict[str, float]]:
     """Neurons and α as configured, or by cross-validation; the errors of all tried."""
-    neural = config.kind in NEURAL
+    neural = config.regression in NEURAL
     neurons = DEFAULT_NEURONS if config.neurons == "auto" else config.neurons
     sized = config.neurons != "auto" or not neural
     if sized and config.alpha is not None:
@@ -310,7 +310,7 @@ def fit(
     data: Problem, config: TrainConfig, neurons: int, alpha: float, watch: Monitor
 ) -> list[Fit]:
     """The final fits: one, or several networks from different starts."""
-    if config.kind not in NEURAL or data.targets.shape[2] == 0:
+    if config.regression not in NEURAL or data.targets.shape[2] == 0:
         return [fit_linear(data.inputs, data.targets, alpha, data.smoothness)]
     fits = []
     limit = total_iterations(config.iterations, config.restarts)

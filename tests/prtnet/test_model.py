@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
+from prtnet import sh
 from prtnet.components import coding
 from prtnet.errors import PrtnetError
+from prtnet.lobe_numbers import LobeNumbers
 from prtnet.model import VisibilityModel
 from prtnet.storage import STORAGES
+from prtnet.zh import Lobes
 from tests.models import random_model, random_poses
 from tests.priors import random_prior
 
@@ -90,6 +93,84 @@ def test_file_round_trip(kind, storage, clamped, tmp_path):
     again.save(tmp_path / "again.safetensors")
     files = [(tmp_path / f"{name}.safetensors").read_bytes() for name in ("m", "again")]
     assert files[0] == files[1] or storage == "float16"  # halves may choose half the scale
+
+
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
+@pytest.mark.parametrize("lobes", [1, 2])
+def test_lobes_equal_their_definition(kind, lobes):
+    """One receiver and one lobe at a time, each evaluated about its own axis."""
+    model = random_model(kind, parts=2, lobes=lobes)
+    poses = random_poses(3, 5)
+    flat = dataclasses.replace(model, lobes=0, order=3)
+    numbers = model.decoded(model.latent(poses)).astype(np.float64)
+    expected = np.zeros((3, 40, 9))
+    for pose, receiver in np.ndindex(3, 40):
+        own = numbers[pose, receiver]
+        expected[pose, receiver, 0] = own[0]
+        for lobe in range(lobes):
+            axis = own[1 + 3 * lobe : 4 + 3 * lobe]
+            basis = sh.evaluate_reference(axis / np.linalg.norm(axis), 3)
+            for band in (1, 2):
+                part = slice(band * band, (band + 1) ** 2)
+                g = own[1 + 3 * lobes + 2 * lobe + band - 1]
+                value = g * np.sqrt(4 * np.pi / (2 * band + 1)) * basis[part]
+                expected[pose, receiver, part] += value
+    assert np.allclose(model(poses), expected, rtol=1e-4, atol=1e-4)
+    assert np.allclose(model.lobes_of(poses).harmonics(), expected, rtol=1e-4, atol=1e-4)
+    with pytest.raises(PrtnetError, match="predicts no lobes"):
+        flat.lobes_of(poses)
+
+
+@pytest.mark.parametrize("storage", ["float32", "float16", "int8"])
+def test_lobes_in_files(storage, tmp_path):
+    model = random_model("neural", parts=2, lobes=2).stored_as(storage)
+    model.save(tmp_path / "m.safetensors")
+    again = VisibilityModel.load(tmp_path / "m.safetensors")
+    poses = random_poses(2, 5)
+    assert (again.kind, again.lobes, again.storage) == ("lobes", 2, storage)
+    assert np.array_equal(again(poses), model(poses))
+    assert np.array_equal(again.training_mean, model.training_mean)
+    with pytest.raises(PrtnetError, match=r"^--storage: int4 is made for .*; use int8"):
+        model.stored_as("int4")
+
+
+@pytest.mark.parametrize(
+    ("header", "arrays", "told"),
+    [
+        (lambda h: h.pop("lobes"), None, "number of lobes does not fit the kind"),
+        (lambda h: h.update(lobes=-2), None, "number of lobes does not fit the kind"),
+        (lambda h: h.update(kind="linear"), None, "number of lobes does not fit the kind"),
+        (lambda h: h.update(lobes=3), None, "mean has shape"),
+        (lambda h: h.update(lobes="many"), None, "not a whole prtnet model"),
+        (None, lambda a: a.pop("signal"), "lobes without their signal"),
+    ],
+)
+def test_damaged_models_of_lobes_are_told(header, arrays, told, tmp_path):
+    path = tmp_path / "m.safetensors"
+    random_model("linear", lobes=2).save(path)
+    rewrite(path, header, arrays)
+    with pytest.raises(PrtnetError, match=told):
+        VisibilityModel.load(path)
+
+
+def test_the_best_that_components_of_lobes_could_do():
+    """Nothing but the lobes' own error where there are as many components as numbers."""
+    rng = np.random.default_rng(0)
+    coding, poses = LobeNumbers(1, 3), random_poses(2, 5)
+    model = random_model("linear", clusters=2, receivers=4, lobes=1)
+    model.receivers[:] = [[0, 1], [2, 3]]
+    size = 2 * coding.size
+    basis = np.concatenate([np.eye(size, dtype=np.float32)] * 2)
+    model = dataclasses.replace(model, latents=np.array([size, size]), basis=basis)
+    turned = model.mean_lobes.axes + 0.1 * rng.normal(size=(2, 4, 1, 3))
+    turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
+    g = np.tile([3.0, 1.0, 0.5], (2, 4, 1, 1))
+    truth = Lobes(turned, g).harmonics().astype(np.float32)
+    assert np.allclose(model.closest(poses, truth), truth, atol=0.05)
+    exact = coding.harmonics(coding.fitted(truth, model.mean_lobes))
+    assert np.allclose(model.closest(poses, truth), exact, atol=1e-4)
+    fewer = dataclasses.replace(model, latents=np.array([2, 2]), basis=basis[:4])
+    assert not np.allclose(fewer.closest(poses, truth), exact, atol=0.1)
 
 
 def test_fewer_bytes_err_little(tmp_path):

@@ -8,12 +8,14 @@ import onnxruntime
 import pytest
 
 from prtnet.components import coding
+from prtnet.lobe_numbers import LobeNumbers
 from prtnet.storage import STORAGES, Packing, Stored, quantise
 from tests.models import random_model, random_poses
 from tests.priors import random_prior
 from training.onnx_components import matrix_nodes
 from training.onnx_export import build_onnx, export_onnx
 from training.onnx_graph import OPSET, PORTABLE, GraphBuilder
+from training.onnx_lobes import lobe_nodes
 
 RELATIVE = 1e-5  # float32 through about ten thousand multiply-adds
 
@@ -57,6 +59,36 @@ def test_fewer_bytes_and_more_groups_equal_the_reference(kind, storage, parts, c
     poses = random_poses(4, 5, 2)
     expected = model(poses)
     assert np.abs(run(model, poses) - expected).max() <= RELATIVE * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("kind", ["constant", "linear", "quadratic", "neural"])
+@pytest.mark.parametrize("storage", ["float32", "float16", "int8"])
+@pytest.mark.parametrize("lobes", [1, 2, 5])
+@pytest.mark.parametrize(("parts", "features"), [(1, "joint_angles"), (3, "occluders")])
+def test_lobes_equal_the_reference(kind, storage, lobes, parts, features):
+    model = random_model(kind, features, receivers=900, parts=parts, lobes=lobes)
+    model = model.stored_as(storage)
+    for count in (1, 4):
+        poses = random_poses(count, 5)
+        expected = model(poses)
+        got = run(model, poses)
+        assert got.shape == (count, 900, 9)
+        assert np.abs(got - expected).max() <= RELATIVE * np.abs(expected).max()
+
+
+def test_lobes_of_one_band_and_lobes_without_a_direction():
+    model = random_model("linear", lobes=2)
+    model.mean[:, 1:7] = model.basis[:, 1:7] = 0.0  # of the first receiver of each group
+    poses = random_poses(3, 5)
+    assert np.abs(run(model, poses) - model(poses)).max() <= RELATIVE * np.abs(model(poses)).max()
+    graph = GraphBuilder()
+    value = graph.reshape(graph.node("Add", "pose", graph.constant(0.0)), [-1, 3, 7])
+    lobe_nodes(graph, LobeNumbers(2, 1), value, 3, "visibility")
+    proto = graph.model(21, "visibility", [3, 1], {})
+    given = np.arange(42, dtype=np.float32).reshape(2, 21)
+    session = onnxruntime.InferenceSession(proto.SerializeToString())
+    got = session.run(None, {"pose": given})[0]
+    assert np.array_equal(got, LobeNumbers(2, 1).harmonics(given.reshape(2, 3, 7)))
 
 
 def test_the_file_shrinks_with_the_storage():
