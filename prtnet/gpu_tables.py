@@ -2,7 +2,8 @@
 
 Every receiver's numbers lie together in one texture: its mean, then its row of each component of
 its group, four coefficients a texel. A scale that a whole component shares is left to the latents,
-so that a texel is used as it is. What a prior adds is in ``prtnet.gpu_prior``.
+so that a texel is used as it is. What a prior adds is in ``prtnet.gpu_prior``, what makes
+visibility of lobes in ``prtnet.gpu_lobes``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ import numpy as np
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 from prtnet.glsl import WIDTH, filled, texel_format, texture, vectors
+from prtnet.gpu_lobes import lobes_glsl
 from prtnet.gpu_prior import PriorTables, prior_tables
+from prtnet.lobe_numbers import LobeNumbers
 from prtnet.model import VisibilityModel
 from prtnet.storage import MOST
 
@@ -35,34 +38,38 @@ uniform highp sampler2D prtnet_latents;
 
 const highp int PRTNET_WIDTH = $WIDTH;  // texels in a row of a texture
 const highp int PRTNET_TEXELS = $TEXELS;  // of one receiver's $COEFFICIENTS coefficients
-const highp vec4 PRTNET_MEAN_SCALE[PRTNET_TEXELS] = vec4[PRTNET_TEXELS]($SCALE);
-const highp vec4 PRTNET_MEAN_OFFSET[PRTNET_TEXELS] = vec4[PRTNET_TEXELS]($OFFSET);
-const highp vec4 PRTNET_PROFILE[PRTNET_TEXELS] = vec4[PRTNET_TEXELS]($PROFILE);
+const highp int PRTNET_ROW = $ROW;  // of one receiver's $NUMBERS numbers in one row
+const highp vec4 PRTNET_MEAN_SCALE[PRTNET_ROW] = vec4[PRTNET_ROW]($SCALE);
+const highp vec4 PRTNET_MEAN_OFFSET[PRTNET_ROW] = vec4[PRTNET_ROW]($OFFSET);
+const highp vec4 PRTNET_PROFILE[PRTNET_ROW] = vec4[PRTNET_ROW]($PROFILE);
 
 highp ivec2 prtnet_place(highp int index) {
     return ivec2(index % PRTNET_WIDTH, index / PRTNET_WIDTH);
 }
 
-$PRIOR// Coefficient i is v[i / 4][i % 4], in the receiver's local frame.
-void prtnet_visibility(highp int receiver, out highp vec4 v[PRTNET_TEXELS]) {
+$PRIOR// $MEANING
+void $FUNCTION(highp int receiver, out highp vec4 v[PRTNET_ROW]) {
     highp uvec2 entry = texelFetch(prtnet_receivers, prtnet_place(receiver), 0).xy;
     highp int texel = int(entry.x);
     highp int latent = int(entry.y >> $BITSu);
     highp int last = latent + int(entry.y & $MASKu);
-    for (highp int k = 0; k < PRTNET_TEXELS; ++k) {
+    for (highp int k = 0; k < PRTNET_ROW; ++k) {
         v[k] = PRTNET_MEAN_OFFSET[k]
              + PRTNET_MEAN_SCALE[k] * texelFetch(prtnet_rows, prtnet_place(texel + k), 0);
     }
     for (; latent < last; ++latent) {
-        texel += PRTNET_TEXELS;
+        texel += PRTNET_ROW;
         highp float weight = texelFetch(prtnet_latents, prtnet_place(latent), 0).r;
-        for (highp int k = 0; k < PRTNET_TEXELS; ++k) {
+        for (highp int k = 0; k < PRTNET_ROW; ++k) {
             v[k] += weight * PRTNET_PROFILE[k]
                   * texelFetch(prtnet_rows, prtnet_place(texel + k), 0);
         }
     }
 $ADDED}
-"""
+$LOBES"""
+
+COEFFICIENTS = "Coefficient i is v[i / 4][i % 4], in the receiver's local frame."
+NUMBERS = "Number i of those that stand for a receiver's lobes is v[i / 4][i % 4]."
 
 ADDED = """\
     highp vec3 position;
@@ -93,21 +100,26 @@ class GPUTables:
         rows: (height, WIDTH, 4) int8, float16 or float32; 8 bits are read as signed normalised.
         receivers: (height, WIDTH, 2) uint32: each receiver's first texel in ``rows``, and its first
             latent and number of latents, the latter in the low ``COUNT_BITS``.
-        mean_scale, mean_offset: mean = offset + scale · texel, (n²,) each.
-        profile: what a coefficient's sum over components is multiplied by, (n²,).
+        order: n of visibility.
+        mean_scale, mean_offset: mean = offset + scale · texel, (n²,) each; (N,) of lobes that stand
+            for visibility as N numbers.
+        profile: what a coefficient's sum over components is multiplied by, as many.
         latent_scale: what each latent is to be multiplied by before a shader uses it, (Σ latents,).
         prior: what is added; None for models without one.
         bounds: that visibility is kept between, (2, n²); None for no bounds.
+        lobes: what the numbers stand for; None where they are coefficients.
     """
 
     rows: Any
     receivers: Any
+    order: int
     mean_scale: FloatArray
     mean_offset: FloatArray
     profile: FloatArray
     latent_scale: FloatArray
     prior: PriorTables | None = None
     bounds: FloatArray | None = None
+    lobes: LobeNumbers | None = None
 
     @property
     def textures(self) -> dict[str, Any]:
@@ -128,14 +140,14 @@ def gpu_tables(model: VisibilityModel) -> GPUTables:
         raise PrtnetError("model", "has too many latents for a shader; train it with fewer")
     mean = model.stored("mean")
     if model.coding is None:
-        basis, profile = model.stored("basis"), np.ones(model.order**2, dtype=np.float32)
+        basis, profile = model.stored("basis"), np.ones(model.numbers, dtype=np.float32)
         values, scale = basis.values, basis.scale
     else:
         coded = model.coding.encode(model.basis)
         values, scale, profile = coded.values, coded.scale, model.coding.profile
     # A normalised texel is its integer over MOST.
     unit = MOST if values.dtype == np.int8 else 1
-    coefficients = model.order**2
+    coefficients = model.numbers
     texels = -(-coefficients // 4)
     group, slot = np.divmod(model.slot_of_receiver, model.receivers.shape[1])
     counts = model.latents[group].astype(np.int64)
@@ -158,24 +170,26 @@ def gpu_tables(model: VisibilityModel) -> GPUTables:
     return GPUTables(
         texture(flat),
         texture(entries.astype(np.uint32)),
+        model.order,
         np.broadcast_to(unit * mean.scale.ravel(), coefficients).astype(np.float32),
         offset.astype(np.float32),
         profile,
         np.broadcast_to(unit * scale[:, 0], len(values)).astype(np.float32),
         prior,
         model.bounds,
+        model.lobe_numbers,
     )
 
 
 def by_slot(rows: Any, coefficients: int) -> Any:
-    """(rows, R · n²) as (rows, R, n²)."""
+    """(rows, R · N) as (rows, R, N)."""
     return rows.reshape(len(rows), rows.shape[1] // coefficients, coefficients)
 
 
 def glsl(tables: GPUTables) -> str:
     """The shader include for these tables."""
-    coefficients = len(tables.mean_scale)
-    texels = -(-coefficients // 4)
+    numbers, texels = len(tables.mean_scale), -(-(tables.order**2) // 4)
+    row = -(-numbers // 4)
     prior, added = "", ""
     if tables.prior is not None:
         prior, added = tables.prior.glsl + "\n", ADDED
@@ -186,14 +200,19 @@ def glsl(tables: GPUTables) -> str:
     words = {
         "WIDTH": WIDTH,
         "TEXELS": texels,
-        "COEFFICIENTS": coefficients,
-        "SCALE": vectors(tables.mean_scale, texels),
-        "OFFSET": vectors(tables.mean_offset, texels),
-        "PROFILE": vectors(tables.profile, texels),
+        "COEFFICIENTS": tables.order**2,
+        "ROW": row,
+        "NUMBERS": numbers,
+        "SCALE": vectors(tables.mean_scale, row),
+        "OFFSET": vectors(tables.mean_offset, row),
+        "PROFILE": vectors(tables.profile, row),
         "BITS": COUNT_BITS,
         "MASK": 2**COUNT_BITS - 1,
         "PRIOR": prior,
         "ADDED": added,
+        "FUNCTION": "prtnet_visibility" if tables.lobes is None else "prtnet_numbers",
+        "MEANING": COEFFICIENTS if tables.lobes is None else NUMBERS,
+        "LOBES": "" if tables.lobes is None else lobes_glsl(tables.lobes),
     }
     return filled(GLSL, words)
 
@@ -231,6 +250,8 @@ def write_gpu_tables(tables: GPUTables, folder: Path) -> None:
         "mean_offset": tables.mean_offset.tolist(),
         "profile": tables.profile.tolist(),
     }
+    if tables.lobes is not None:
+        layout["lobes"] = tables.lobes.count
     if tables.bounds is not None:
         layout["bounds"] = tables.bounds.tolist()
     if tables.prior is not None:

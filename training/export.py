@@ -58,20 +58,28 @@ at (i % {width}, i / {width}); no filter, no mipmaps.
 |---|---|
 | `prtnet_rows` ({rows}) | the receivers one after the other: {texels} texels of \
 mean, then {texels} of each component of its group; \
-coefficient i is channel i % 4 of texel i / 4, padded with zeros |
+{number} i is channel i % 4 of texel i / 4, padded with zeros |
 | `prtnet_receivers` (RG32UI) | of receiver i: its first texel in `prtnet_rows`; its \
 first latent · 2^{bits} + its number of latents |
 | `prtnet_latents` (R32F) | one latent each: the output of `latent.onnx` as it is, \
 uploaded every frame |
 
-With t the texel of coefficient i (8-bit integers are signed normalised: t = q / 127),
+With t the texel of {number} i (8-bit integers are signed normalised: t = q / 127),
 
-    visibility[i] = mean_offset[i] + mean_scale[i] t_mean[i]
-                    + profile[i] (sum over k of latent[k] t_k[i])
+    {result}[i] = mean_offset[i] + mean_scale[i] t_mean[i]
+    {blank}       + profile[i] (sum over k of latent[k] t_k[i])
 
 `latent.onnx` has the components' scales inside. `prtnet.glsl` does this in GLSL 3.30 or
 GLSL ES 3.00: put it behind your `#version` line and precision statements, bind all textures that
 `gpu.json` names, and call `prtnet_visibility(receiver, v)`.
+"""
+
+LOBES = """
+**Lobes.** Those {numbers} numbers stand for the {lobes} zonal lobes of a receiver's visibility: the
+coefficient of the first band, which needs no lobe; then of each lobe three that point along its
+axis; then of each lobe its bands l = 1 … {last}, g_l sqrt((2l + 1) / 4 pi). `prtnet_visibility` has
+made coefficients of them; `prtnet_lobes(receiver, axis, g)` gives unit axes in the local frame and
+g. A lobe is turned by turning its axis: into the frame of the mirrored view, for 1D BRDFs.
 """
 
 LATENT = """\
@@ -141,6 +149,7 @@ def export_folder(model: VisibilityModel, out: Path) -> dict[str, int]:
         "receivers": model.receiver_count,
         "storage": model.storage,
         "latents": int(model.latents.sum()),
+        **({"lobes": model.lobes} if model.lobes else {}),
     }
     tables = gpu_tables(model)
     facts["prior"] = None if model.prior is None else model.prior.kind
@@ -168,10 +177,14 @@ def readme(facts: dict[str, Any], gpu: str) -> str:
 def readme_gpu(facts: dict[str, Any], tables: GPUTables) -> str:
     """Its part on rebuilding visibility in a shader."""
     latent = (LATENT if facts["latents"] else CONSTANT).format(**facts)
+    numbers, result = len(tables.profile), "visibility" if tables.lobes is None else "number"
     text = GPU.format(
-        **facts, latent=latent, width=WIDTH, texels=-(-(facts["order"] ** 2) // 4), bits=COUNT_BITS,
-        rows=texel_format(tables.rows),
+        **facts, latent=latent, width=WIDTH, texels=-(-numbers // 4), bits=COUNT_BITS,
+        rows=texel_format(tables.rows), result=result, blank=" " * len(result),
+        number="coefficient" if tables.lobes is None else "number",
     )  # fmt: skip
+    if tables.lobes is not None:
+        text += LOBES.format(numbers=numbers, lobes=tables.lobes.count, last=tables.order - 1)
     if tables.prior is None:
         return text
     seen = tables.prior.seen

@@ -8,11 +8,12 @@ import onnxruntime
 import pytest
 
 from prtnet.errors import PrtnetError
-from prtnet.gpu_tables import COUNT_BITS, gpu_tables
+from prtnet.glsl import texture
+from prtnet.gpu_tables import COUNT_BITS, glsl, gpu_tables
 from prtnet.storage import STORAGES
 from tests.models import random_model, random_poses
 from tests.priors import beside_prior, random_prior, sheet_with_prior
-from tests.runtime.shader import transformed
+from tests.runtime.shader import DESKTOP, WEB, latents_of, transformed
 from tests.skin import random_skin
 from training.export import export_folder
 
@@ -35,11 +36,11 @@ def textures(folder):
     layout = json.loads((folder / "gpu.json").read_text())
     data = (folder / layout["file"]).read_bytes()
     found = {}
-    for name, texture in layout["textures"].items():
-        if "byte_offset" in texture:
-            end = texture["byte_offset"] + texture["byte_length"]
-            flat = np.frombuffer(data[texture["byte_offset"] : end], texture["dtype"])
-            found[name] = flat.reshape(texture["shape"])
+    for name, own in layout["textures"].items():
+        if "byte_offset" in own:
+            end = own["byte_offset"] + own["byte_length"]
+            flat = np.frombuffer(data[own["byte_offset"] : end], own["dtype"])
+            found[name] = flat.reshape(own["shape"])
     return found, layout
 
 
@@ -135,6 +136,52 @@ def test_files_alone_tell_the_shader_of_the_surroundings(kind, body, storage, tm
     names = json.loads((folder / "gpu.json").read_text())["textures"]
     assert [name for name in names if f"`{name}`" not in words] == []
     assert "{" not in words
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("lobes", [1, 2, 3])
+@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+@pytest.mark.parametrize("storage", ["float32", "float16", "int8"])
+def test_files_alone_tell_the_shader_of_lobes(lobes, kind, storage, tmp_path):
+    model = random_model(kind, receivers=300, parts=2, lobes=lobes).stored_as(storage)
+    model.metadata.update(METADATA)
+    folder = tmp_path / "export"
+    export_folder(model, folder)
+    assert shader_error(model, folder, random_poses(1, 5, seed=3)) <= RELATIVE
+    assert json.loads((folder / "gpu.json").read_text())["lobes"] == lobes
+    assert json.loads((folder / "model.json").read_text())["lobes"] == lobes
+    words = (folder / "README.md").read_text()
+    assert f"Those {1 + 5 * lobes} numbers stand for the {lobes} zonal lobes" in words
+    assert "{" not in words
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("head", [DESKTOP, WEB])
+def test_the_shader_gives_lobes(head):
+    """Axes and coefficients themselves; receivers without a direction among them."""
+    model = random_model("linear", receivers=300, lobes=2)
+    model.basis[:, : model.numbers] = model.mean[:, : model.numbers] = 0.0
+    pose = random_poses(1, 5)
+    lobes = model.lobes_of(pose)
+    expected = np.concatenate([lobes.axes, lobes.coefficients], axis=-1).reshape(300, 12)
+    tables = gpu_tables(model)
+    latents = {"prtnet_latents": texture(latents_of(model, tables, pose[0])[:, None])}
+    text = glsl(tables).replace("prtnet_visibility", "unused") + LISTED
+    got = transformed(text, tables.textures, [latents], 300, 3, head)[0]
+    assert np.abs(got - expected).max() <= RELATIVE * np.abs(expected).max()
+    assert (np.abs(got).sum(axis=1) > 1.9).all()  # two unit axes each
+
+
+LISTED = """
+void prtnet_visibility(highp int receiver, out highp vec4 v[PRTNET_TEXELS]) {
+    highp vec3 axis[PRTNET_LOBES];
+    highp float g[PRTNET_LOBES * PRTNET_ORDER];
+    prtnet_lobes(receiver, axis, g);
+    v[0] = vec4(axis[0], g[0]);
+    v[1] = vec4(g[1], g[2], axis[1].xy);
+    v[2] = vec4(axis[1].z, g[3], g[4], g[5]);
+}
+"""
 
 
 def shader_error(model, folder, pose):
