@@ -181,9 +181,10 @@ def measured(own: Predicted, label: str, model: VisibilityModel, floor: float | 
     eighth = len(build_onnx(small).SerializeToString())
     report_errors(small, own.data, Silent())
     pose = own.data.read("pose", slice(1))
+    rounded = small.metadata["held_out_error"]["rms"]
     row = [
         str(own.lobes or "–"), own.space.target, label, *map(per_cent, [*rms, floor]),
-        f"{len(proto) / 1e6:.2f}", f"{eighth / 1e6:.2f}", per_cent(small.metadata["held_out_error"]["rms"]),
+        f"{len(proto) / 1e6:.2f}", f"{eighth / 1e6:.2f}", per_cent(rounded),
         f"{OnnxModel(proto, threads=2).milliseconds(pose, repeats=300):.2f}",
     ]  # fmt: skip
     print(row, flush=True)

@@ -23,7 +23,7 @@ def lobe_targets(visibility: FloatArray, count: int, watch: Monitor) -> FloatArr
     """
     poses, receivers, size = visibility.shape
     numbers = LobeNumbers(count, round(size**0.5))
-    watch.stage(f"fits of {count} lobes")
+    watch.stage("fits of lobes")
     start = numbers.start(visibility.mean(axis=0, dtype=np.float64))
     result = np.empty((poses, receivers, numbers.size), dtype=np.float32)
     for first in range(0, poses, BLOCK):

@@ -135,6 +135,14 @@ def test_visibility_is_rebuilt_from_latents(two_sided, storage):
     assert np.abs(pictures[0] - pictures[1]).max() <= 1e-4 * np.abs(pictures[0]).max()
 
 
+@pytest.mark.parametrize("storage", ["float32", "int8"])
+@pytest.mark.parametrize("count", [1, 2])
+def test_lobes_are_rebuilt_from_latents(count, storage):
+    model = random_model(receivers=700, clusters=7, parts=2, lobes=count).stored_as(storage)
+    pictures = pictures_of(model, random_poses(1, 5), True)
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1e-4 * np.abs(pictures[0]).max()
+
+
 @pytest.mark.parametrize("kind", ["maps", "network"])
 @pytest.mark.parametrize("body", ["skin", "sheet"])
 @pytest.mark.parametrize("two_sided", [False, True])

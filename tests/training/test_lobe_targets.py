@@ -56,7 +56,7 @@ def test_targets_are_fits_of_poses_by_themselves():
     truth = two_lobes().read("visibility")
     watch = Recorder()
     numbers = lobe_targets(truth, 2, watch)
-    assert watch.stages == ["fits of 2 lobes"]
+    assert watch.stages == ["fits of lobes"]
     assert [done for done, *_ in watch.losses] == [4, 8, 12, 16, 20, 24]
     coding = LobeNumbers(2, 4)
     assert numbers.shape == (24, 60, coding.size)
