@@ -90,6 +90,16 @@ def test_lobes_from_configuration_to_graph(regressor, parts, tmp_path):
     assert np.array_equal(train(data, config)(poses), model(poses))
 
 
+def test_their_regressor_is_cross_validated_as_any():
+    config = dataclasses.replace(
+        SMALL, kind="lobes", regressor="neural", neurons="auto", iterations=5
+    )
+    model = train(two_lobes(), config)
+    assert "neurons" in next(iter(model.metadata["cross_validation"]))
+    linear = train(two_lobes(), dataclasses.replace(SMALL, kind="lobes"))
+    assert "neurons" not in next(iter(linear.metadata["cross_validation"]))
+
+
 def test_yardsticks_of_lobes():
     """In order: the components' floor, the model, the mean; the floor above the fits' error."""
     data = two_lobes(per_clip=24)
