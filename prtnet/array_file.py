@@ -17,11 +17,15 @@ import safetensors.numpy
 from prtnet.errors import PrtnetError
 from prtnet.files import writing
 
-__all__ = ["MODEL", "TRANSFER", "header_key", "read_arrays", "write_arrays"]
+__all__ = ["LOBES", "MODEL", "TRANSFER", "header_key", "read_arrays", "write_arrays"]
 
 # The metadata key of each kind of file: whose header it is.
-MODEL, TRANSFER = "prtnet", "prtnet-transfer"
-MADE_BY = {MODEL: ("model", "train one first"), TRANSFER: ("transfer field", "bake one first")}
+MODEL, TRANSFER, LOBES = "prtnet", "prtnet-transfer", "prtnet-lobes"
+MADE_BY = {
+    MODEL: ("model", "train one first"),
+    TRANSFER: ("transfer field", "bake one first"),
+    LOBES: ("field of lobes", "bake one with --lobes first"),
+}
 
 
 def write_arrays(

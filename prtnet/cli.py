@@ -143,17 +143,19 @@ def arguments(name: str, argv: Sequence[str], *parts: Any) -> tuple[Any, ...]:
 
 
 def info(argv: Sequence[str]) -> None:
-    """Describe a scene, a dataset, a model or a transfer field."""
-    from prtnet.array_file import TRANSFER, header_key
+    """Describe a scene, a dataset, a model or a field of transfer or lobes."""
+    from prtnet.array_file import LOBES, TRANSFER, header_key
     from prtnet.cli_arguments import input_file
     from prtnet.cli_options import InfoOptions
 
     options, session = arguments("info", argv, InfoOptions)
     path = input_file(options.file, folder=True)
-    if path.suffix == ".safetensors" and header_key(path) == TRANSFER:
+    kind = header_key(path) if path.suffix == ".safetensors" else None
+    if kind in (TRANSFER, LOBES):
+        from prtnet.lobe_field import LobeField
         from prtnet.transfer import TransferField
 
-        facts = TransferField.load(path).facts()
+        facts = (TransferField if kind == TRANSFER else LobeField).load(path).facts()
     elif path.suffix == ".safetensors":
         from prtnet.model import VisibilityModel
 

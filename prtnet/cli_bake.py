@@ -18,6 +18,7 @@ from prtnet.errors import PrtnetError, nearest_name
 if TYPE_CHECKING:
     from data_gen.bake import BakeConfig
     from prtnet.console import Report
+    from prtnet.lobe_field import LobeField
     from prtnet.transfer import TransferField
 
 __all__ = ["BakeOptions", "baked", "warnings_of"]
@@ -26,6 +27,7 @@ MEMBRANE, WRINKLE = "membrane", "wrinkle"
 TEXELS = (64, 64)  # of a pattern
 MAP = (32, 32)  # of a wrinkle
 LARGEST = 4096  # texels a side
+MOST_LOBES = 8
 RELIEF = 0.1  # depth of a relief over its width, where no depth is given
 
 
@@ -33,7 +35,7 @@ RELIEF = 0.1  # depth of a relief over its width, where no depth is given
 class BakeOptions:
     """Options of ``prtnet bake``."""
 
-    source: Positional[str]  # mesh, picture, weave, swirl, bumps, waffle, membrane or wrinkle
+    source: Positional[str]  # mesh, picture, weave, swirl, bumps, waffle, membrane, wrinkle, field
     out: Path  # field to write, a .safetensors file
     order: int = 6  # bands of the spherical harmonics
     rays: int = 1024  # rays per point
@@ -43,6 +45,8 @@ class BakeOptions:
     thickness: float | None = None  # metres under a relief's deepest place, lit from below
     brdf: str | None = None  # glossy rows of a preset, a BRDF as ggx:roughness=0.3, a MERL .binary
     rows: int = 3  # of a glossy matrix
+    lobes: int | None = None  # write zonal lobes, so many a row, instead of transfer as it is
+    coherent: bool = False  # fit lobes all at once, so that they can be interpolated; slower
     size: tuple[int, int] | None = None  # texels; 64x64, a picture's own, 32x32 depths of a wrinkle
     metres: float | None = None  # width of a patch or wrinkle (0.1), longest side of a mesh's box
     depth: float | None = None  # metres that grey 0 and 1 are apart, or of the deepest wrinkle
@@ -57,6 +61,8 @@ class BakeOptions:
                   "--bounces": (self.bounces, 0, 10_000)}  # fmt: skip
         if self.brdf is not None:
             counts["--rows"] = (self.rows, 1, self.order**2)
+        if self.lobes is not None:
+            counts["--lobes"] = (self.lobes, 1, MOST_LOBES)
         if self.threads is not None:
             counts["--threads"] = (self.threads, 1, 1024)
         for option, (value, least, most) in counts.items():
@@ -72,6 +78,8 @@ class BakeOptions:
             raise PrtnetError("--thickness", "needs --subsurface: nothing else lets light through")
         if max(self.size or (1,)) > LARGEST:
             raise PrtnetError("--size", f"is too large; give at most {LARGEST}x{LARGEST}")
+        if self.coherent and self.lobes is None:
+            raise PrtnetError("--coherent", "is about lobes; say how many with --lobes")
         if self.out.suffix.lower() != ".safetensors":
             raise PrtnetError(self.out, "is no name of a field; end it in .safetensors")
 
@@ -81,8 +89,28 @@ class BakeOptions:
         return [path for path in named if path.is_file()]
 
 
-def baked(options: BakeOptions, threads: int, report: Report) -> TransferField:
+def baked(options: BakeOptions, threads: int, report: Report) -> TransferField | LobeField:
     """The field that the options ask for.
+
+    Raises:
+        PrtnetError: the source is none, or cannot be read, simulated or fitted.
+    """
+    from prtnet.lobe_fit import lobe_field
+    from prtnet.transfer import TransferField
+
+    if Path(options.source).suffix.lower() != ".safetensors":
+        field = simulated(options, threads, report)
+    elif options.lobes is None:
+        raise PrtnetError(options.source, "is baked already; add --lobes to fit lobes to it")
+    else:
+        field = TransferField.load(options.source)
+    if options.lobes is None:
+        return field
+    return lobe_field(field, options.lobes, options.coherent, report)
+
+
+def simulated(options: BakeOptions, threads: int, report: Report) -> TransferField:
+    """Transfer as it is.
 
     Raises:
         PrtnetError: the source is none, or cannot be read or simulated.
@@ -102,7 +130,7 @@ def baked(options: BakeOptions, threads: int, report: Report) -> TransferField:
         field = mesh(options, threads, report)
     else:
         known = nearest_name(options.source, [*PATTERNS, MEMBRANE, WRINKLE])
-        files = ", ".join((*MESHES, *PICTURES))
+        files = ", ".join((*MESHES, *PICTURES, ".safetensors"))
         what = f"is no mesh, picture or pattern; {known}; files end in {files}"
         raise PrtnetError(options.source, what)
     name = Path(options.source).name

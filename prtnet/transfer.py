@@ -8,7 +8,8 @@ What is simulated, and who fits lobes to it, is not this module's business.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,17 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
 from prtnet.sh import order_of
 
-__all__ = ["FORMAT_VERSION", "Patch", "Surface", "TransferField"]
+__all__ = [
+    "FORMAT_VERSION",
+    "Patch",
+    "Surface",
+    "TransferField",
+    "check_field",
+    "layout_facts",
+    "layout_from",
+    "layout_parts",
+    "whole",
+]
 
 FORMAT_VERSION = 1
 
@@ -123,13 +134,8 @@ class TransferField:
 
     def facts(self) -> dict[str, Any]:
         """What there is to say about it, as JSON can hold it."""
-        patch = isinstance(self.layout, Patch)
-        shape: dict[str, Any] = {"points": len(self), "order": self.order, "rows": self.rows}
-        if isinstance(self.layout, Patch):
-            height, width = self.layout.heights.shape
-            shape |= {"texels": [width, height], "metres": list(self.layout.size),
-                      "tiles": list(self.layout.tiles)}  # fmt: skip
-        return {"layout": "patch" if patch else "mesh", **shape, **self.metadata}
+        shape = {"points": len(self), "order": self.order, "rows": self.rows}
+        return {**layout_facts(self.layout), **shape, **self.metadata}
 
     def save(self, path: str | Path) -> None:
         """Write one ``.safetensors`` file.
@@ -137,15 +143,12 @@ class TransferField:
         Raises:
             PrtnetError: it cannot be written.
         """
-        kind = "patch" if isinstance(self.layout, Patch) else "mesh"
-        header: dict[str, Any] = {"format_version": FORMAT_VERSION, "layout": kind}
-        if isinstance(self.layout, Patch):
-            header |= {"size": list(self.layout.size), "tiles": list(self.layout.tiles)}
-        arrays = {"transfer": self.transfer}
-        arrays |= {name: getattr(self.layout, name) for name in ARRAYS[kind]}
+        header, arrays = layout_parts(self.layout)
+        arrays["transfer"] = self.transfer
         if self.view is not None:
             arrays["view"] = self.view
-        write_arrays(path, {**header, "metadata": dict(self.metadata)}, arrays, TRANSFER)
+        header |= {"format_version": FORMAT_VERSION, "metadata": dict(self.metadata)}
+        write_arrays(path, header, arrays, TRANSFER)
 
     @classmethod
     def load(cls, path: str | Path) -> TransferField:
@@ -155,43 +158,108 @@ class TransferField:
             PrtnetError: it is missing, damaged, of another kind or of another format version.
         """
         header, arrays = read_arrays(path, TRANSFER)
-        version = header.get("format_version")
-        if version != FORMAT_VERSION:
-            known = f"this prtnet reads {FORMAT_VERSION}; bake it anew"
-            raise PrtnetError(path, f"has format version {version}, {known}")
-        try:
-            kind = str(header["layout"])
-            own = {name: arrays[name] for name in ARRAYS[kind]}
-            if kind == "patch":
-                width, height = (float(one) for one in header["size"])
-                across, along = (bool(one) for one in header["tiles"])
-                layout: Patch | Surface = Patch(**own, size=(width, height), tiles=(across, along))
-            else:
-                layout = Surface(**own)
-            return cls(
-                arrays["transfer"], layout, arrays.get("view"), dict(header.get("metadata", {}))
-            )
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            what = f"is not a whole prtnet transfer field ({error}); bake it anew"
-            raise PrtnetError(path, what) from error
+        with whole(path, header, FORMAT_VERSION, "transfer field"):
+            layout = layout_from(header, arrays)
+            told = dict(header.get("metadata", {}))
+            return cls(arrays["transfer"], layout, arrays.get("view"), told)
+
+
+@contextlib.contextmanager
+def whole(path: str | Path, header: Mapping[str, Any], version: int, kind: str) -> Iterator[None]:
+    """Takes a file's header and arrays apart: of a file that has not all of them, one line.
+
+    Raises:
+        PrtnetError: it is of another version, or something is missing or does not fit.
+    """
+    found = header.get("format_version")
+    if found != version:
+        known = f"this prtnet reads {version}; bake it anew"
+        raise PrtnetError(path, f"has format version {found}, {known}")
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        what = f"is not a whole prtnet {kind} ({error}); bake it anew"
+        raise PrtnetError(path, what) from error
+
+
+def layout_facts(layout: Patch | Surface) -> dict[str, Any]:
+    """What there is to say about a layout."""
+    if not isinstance(layout, Patch):
+        return {"layout": "mesh", "triangles": len(layout.faces)}
+    height, width = layout.heights.shape
+    return {"layout": "patch", "texels": [width, height], "metres": list(layout.size),
+            "tiles": list(layout.tiles)}  # fmt: skip
+
+
+def layout_parts(layout: Patch | Surface) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What a header and the arrays of a file hold of a layout."""
+    kind = kind_of(layout)
+    header: dict[str, Any] = {"layout": kind}
+    if isinstance(layout, Patch):
+        header |= {"size": list(layout.size), "tiles": list(layout.tiles)}
+    return header, {name: getattr(layout, name) for name in ARRAYS[kind]}
+
+
+def layout_from(header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Patch | Surface:
+    """A layout of a file's header and arrays; ``whole`` reports what they lack."""
+    kind = str(header["layout"])
+    own = {name: arrays[name] for name in ARRAYS[kind]}
+    if kind != "patch":
+        return Surface(**own)
+    width, height = (float(one) for one in header["size"])
+    across, along = (bool(one) for one in header["tiles"])
+    return Patch(**own, size=(width, height), tiles=(across, along))
+
+
+def kind_of(layout: Patch | Surface) -> str:
+    """The name of its kind."""
+    return "patch" if isinstance(layout, Patch) else "mesh"
 
 
 def check(found: TransferField) -> None:
     """Raise ValueError where arrays do not fit each other, or are not finite."""
-    layout = found.layout
-    arrays = {"transfer": found.transfer}
-    if found.view is not None:
-        arrays["view"] = found.view
-    kind = "patch" if isinstance(layout, Patch) else "mesh"
-    arrays |= {name: getattr(layout, name) for name in ARRAYS[kind]}
+    if found.transfer.ndim != 3 or 0 in found.transfer.shape:
+        raise ValueError(f"transfer has shape {found.transfer.shape}, expected (K, R, n²)")
+    check_field({"transfer": found.transfer}, found.layout, found.view)
+    order_of(found.transfer)
+
+
+def check_field(
+    points: Mapping[str, FloatArray], layout: Patch | Surface, view: FloatArray | None
+) -> None:
+    """Raise ValueError where arrays of points (K, R, …) do not fit a layout or view factors."""
+    check_arrays(points, layout, view)
+    check_layout(layout)
+    sizes = {array.shape[:2] for array in points.values()}
+    if len(sizes) != 1:
+        raise ValueError("arrays are of different numbers of points or rows")
+    (count, rows), *_ = sizes
+    if len(layout) != count:
+        raise ValueError("the layout does not fit the transfer")
+    if view is None and rows != 1:
+        raise ValueError("rows without view factors")
+    if view is not None:
+        size = round(view.shape[1] ** 0.5) if view.ndim == 3 else 0
+        if view.shape != (rows, size * size, 3):
+            raise ValueError("view factors do not fit the rows")
+
+
+def check_arrays(
+    points: Mapping[str, FloatArray], layout: Patch | Surface, view: FloatArray | None
+) -> None:
+    """Raise ValueError where an array is of a wrong type, or not finite."""
+    arrays = {**points, **layout_parts(layout)[1]}
+    if view is not None:
+        arrays["view"] = view
     for name, array in arrays.items():
         if array.dtype != (np.int32 if name == "faces" else np.float32):
             raise ValueError(f"{name} has type {array.dtype}")
         if not np.isfinite(array).all():
             raise ValueError(f"{name} holds values that are not finite")
-    if found.transfer.ndim != 3 or 0 in found.transfer.shape:
-        raise ValueError(f"transfer has shape {found.transfer.shape}, expected (K, R, n²)")
-    order_of(found.transfer)
+
+
+def check_layout(layout: Patch | Surface) -> None:
+    """Raise ValueError where a layout's arrays do not fit each other."""
     if isinstance(layout, Patch):
         fits = layout.heights.ndim == 2 and layout.normals.shape == (*layout.heights.shape, 3)
         if not all(0 < one < np.inf for one in layout.size):
@@ -205,11 +273,5 @@ def check(found: TransferField) -> None:
             layout.faces.min() >= 0 and layout.faces.max() < len(layout)
         ):  # fmt: skip
             raise ValueError("faces name vertices that are not there")
-    if not fits or len(layout) != len(found.transfer):
+    if not fits:
         raise ValueError("the layout does not fit the transfer")
-    if found.view is None and found.rows != 1:
-        raise ValueError("rows without view factors")
-    if found.view is not None:
-        size = round(found.view.shape[1] ** 0.5) if found.view.ndim == 3 else 0
-        if found.view.shape != (found.rows, size * size, 3):
-            raise ValueError("view factors do not fit the rows")

@@ -274,7 +274,7 @@ def interpolants(values: FloatArray, weights: scipy.sparse.csr_array) -> FloatAr
 
 
 def bilinear(
-    samples: tuple[int, int], knots: tuple[int, int], tiled: bool = False
+    samples: tuple[int, int], knots: tuple[int, int], tiled: bool | tuple[bool, bool] = False
 ) -> scipy.sparse.csr_array:
     """Weights of a grid of knots in a finer grid of samples, (H W, h w), both row by row.
 
@@ -282,11 +282,11 @@ def bilinear(
         samples: rows H and columns W.
         knots: rows h and columns w.
         tiled: the texture repeats itself: sample i lies at i h/H. Otherwise the corners of both
-            grids are the same places: sample i lies at i (h − 1)/(H − 1).
+            grids are the same places: sample i lies at i (h − 1)/(H − 1). A pair is for the rows'
+            and the columns' places each.
     """
-    rows, columns = (
-        linear(count, places, tiled) for count, places in zip(samples, knots, strict=True)
-    )
+    both = (tiled, tiled) if isinstance(tiled, bool) else tiled
+    rows, columns = map(linear, samples, knots, both)
     return scipy.sparse.csr_array(scipy.sparse.kron(rows, columns, format="csr"))
 
 

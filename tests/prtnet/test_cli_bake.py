@@ -11,6 +11,7 @@ from PIL import Image
 
 from prtnet import cli
 from prtnet.cli_bake import warnings_of
+from prtnet.lobe_field import LobeField
 from prtnet.transfer import Patch, Surface, TransferField
 
 QUICK = ["--rays", "32", "--order", "3", "--threads", "1"]
@@ -194,3 +195,32 @@ def test_warnings_say_what_is_missing() -> None:
     assert warnings_of({"bounces": 2, "left": 1e-3, "tiles": [True, True]}) == []
     assert "border" in warnings_of({"tiles": [True, False]})[0]
     assert warnings_of({"tiles": [False, False], "wrinkle": {}}) == []
+
+
+def test_lobes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    raw, out = tmp_path / "raw.safetensors", tmp_path / "lobes.safetensors"
+    assert cli.run(["bake", "waffle", "--size", "8x8", "--out", str(raw), *QUICK, "--quiet"]) == 0
+    facts = tmp_path / "facts.json"
+    argv = ["bake", str(raw), "--lobes", "3", "--out", str(out), "--json", str(facts)]
+    assert cli.run(argv) == 0
+    told = json.loads(facts.read_text())
+    assert (told["lobes"], told["coherent"], told["source"]) == (3, False, "waffle")
+    assert 0.0 < told["fit"]["error"] < 0.1
+    capsys.readouterr()
+    assert cli.run(["info", str(out)]) == 0
+    assert "coherent" in capsys.readouterr().out
+    at_once = LobeField.load(out)
+    direct = tmp_path / "direct.safetensors"
+    argv = ["bake", "waffle", "--size", "8x8", "--lobes", "3", "--out", str(direct), *QUICK]
+    assert cli.run(argv) == 0
+    np.testing.assert_array_equal(LobeField.load(direct).axes, at_once.axes)
+    assert cli.run([*argv, "--coherent"]) == 0
+    assert LobeField.load(direct).coherent
+
+
+def test_lobes_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    raw = tmp_path / "raw.safetensors"
+    assert cli.run(["bake", "membrane", "--out", str(raw), *QUICK, "--quiet"]) == 0
+    assert "baked already" in complaint(capsys, tmp_path, str(raw))
+    assert "from 1 to" in complaint(capsys, tmp_path, "waffle", "--lobes", "0")
+    assert "--lobes" in complaint(capsys, tmp_path, "waffle", "--coherent")

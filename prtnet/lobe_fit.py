@@ -1,0 +1,118 @@
+"""Fields of lobes from fields of transfer: each point by itself, or all that they are between too.
+
+Papers:
+    [1] Sloan, Luna and Snyder, "Local, Deformable Precomputed Radiance Transfer", 2005.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import scipy.sparse
+
+from prtnet.arrays import FloatArray
+from prtnet.console import Report, silent
+from prtnet.lobe_field import LobeField, halved
+from prtnet.transfer import Patch, Surface, TransferField
+from prtnet.zh import Lobes, LobesApart, apart, bands_apart
+from prtnet.zh_fit import fit_lobes
+from prtnet.zh_surface import bilinear, coherent_lobes, with_midpoints
+
+__all__ = ["between", "lobe_field"]
+
+STARTS, GOOD = 4, 0.02  # random starts, and the error that needs none
+BLOCK = 1 << 13  # functions between two reports
+
+
+def lobe_field(
+    field: TransferField, count: int, coherent: bool = False, report: Report = silent
+) -> LobeField:
+    """The nearest field of lobes; its metadata say how far it is, and what it took.
+
+    Lobes are fitted to the bands that are not stored apart: of three or more, without the linear
+    one [1, section 3.3].
+
+    Args:
+        field: what to fit.
+        count: lobes N of every row.
+        coherent: fit a texture or mesh at once, so that its lobes can be interpolated
+            (``prtnet.zh_surface``); slower.
+        report: of progress.
+
+    Raises:
+        PrtnetError: a coefficient is larger than half precision holds.
+        ValueError: ``count`` is below 1.
+    """
+    started = time.perf_counter()
+    transfer = field.transfer.astype(np.float64)
+    fit = fitted_at_once if coherent else fitted_apart
+    lobes = halved(str(field.metadata.get("source", "field")), fit(field, transfer, count, report))
+    missed = lobes.harmonics() - transfer
+    size = float(np.linalg.norm(transfer))
+    each = np.linalg.norm(missed, axis=-1) / np.maximum(
+        np.linalg.norm(transfer, axis=-1), np.finfo(np.float32).tiny
+    )
+    told = {"error": float(np.linalg.norm(missed)) / size if size > 0 else 0.0,
+            "p99": float(np.quantile(each, 0.99)),
+            "seconds": time.perf_counter() - started}  # fmt: skip
+    return LobeField(
+        lobes.low, lobes.lobes.axes, lobes.lobes.coefficients, field.layout, coherent, field.view,
+        {**field.metadata, "fit": told},
+    )  # fmt: skip
+
+
+def without_low(transfer: FloatArray, count: int) -> FloatArray:
+    """Transfer (…, n²) less the bands that are stored apart from so many lobes."""
+    rest = transfer.copy()
+    rest[..., : bands_apart(count) ** 2] = 0.0
+    return rest
+
+
+def fitted_apart(
+    field: TransferField, transfer: FloatArray, count: int, report: Report
+) -> LobesApart:
+    """Lobes (K, R, N), each row of each point by itself."""
+    del field
+    flat = transfer.reshape(-1, transfer.shape[-1])
+    rest = without_low(flat, count)
+    parts = []
+    for start in range(0, len(flat), BLOCK):
+        report("lobes", start, len(flat))
+        parts.append(fit_lobes(rest[start : start + BLOCK], count, STARTS, GOOD))
+    axes, coefficients = (
+        np.concatenate([getattr(part, name) for part in parts]).reshape(
+            *transfer.shape[:2], count, -1
+        )
+        for name in ("axes", "coefficients")
+    )
+    return apart(transfer, Lobes(axes, coefficients))
+
+
+def fitted_at_once(
+    field: TransferField, transfer: FloatArray, count: int, report: Report
+) -> LobesApart:
+    """Lobes (K, R, N) of all points at once, one row after the other."""
+    weights = between(field.layout)
+    rows = []
+    for row in range(transfer.shape[1]):
+        report("rows", row, transfer.shape[1])
+        rows.append(coherent_lobes(weights @ transfer[:, row], weights, count))
+    return LobesApart(
+        np.stack([row.low for row in rows], axis=1),
+        Lobes(
+            np.stack([row.lobes.axes for row in rows], axis=1),
+            np.stack([row.lobes.coefficients for row in rows], axis=1),
+        ),
+    )
+
+
+def between(layout: Patch | Surface) -> scipy.sparse.csr_array:
+    """Weights of points in points and what lies midway between them, (P, K)."""
+    if isinstance(layout, Patch):
+        height, width = layout.heights.shape
+        across, along = layout.tiles
+        samples = (2 * height - (not along), 2 * width - (not across))
+        return bilinear(samples, (height, width), (along, across))
+    pairs = np.concatenate([layout.faces[:, [k, (k + 1) % 3]] for k in range(3)])
+    return with_midpoints(len(layout), np.unique(np.sort(pairs, axis=1), axis=0))
