@@ -35,6 +35,7 @@ class StaticMesh:
         normals: unit, (V, 3) float32.
         tangents: unit and perpendicular to the normals, (V, 3) float32.
         faces: (T, 3) int32, counter-clockwise from outside.
+        vertices: which of the file's vertices these are, (V,).
         dropped: how many triangles and vertices were left out.
     """
 
@@ -42,6 +43,7 @@ class StaticMesh:
     normals: FloatArray
     tangents: FloatArray
     faces: IntArray
+    vertices: IntArray
     dropped: tuple[int, int] = (0, 0)
 
 
@@ -136,6 +138,7 @@ def clean_mesh(
         frames[..., 2].astype(np.float32),
         frames[..., 0].astype(np.float32),
         kept,
+        vertices,
         (len(faces) - len(kept), len(positions) - len(places)),
     )
 

@@ -281,7 +281,12 @@ def export(argv: Sequence[str]) -> None:
 
 
 def render(argv: Sequence[str]) -> None:
-    """Draw pictures or a movie of a posed scene, without a window."""
+    """Draw pictures or a movie of a posed scene, or of a baked field, without a window."""
+    from prtnet.cli_render_field import names_field
+
+    if names_field(argv):
+        render_field(argv)
+        return
     from prtnet.cli_arguments import check_output, input_file
     from prtnet.cli_options import RenderOptions
 
@@ -291,6 +296,17 @@ def render(argv: Sequence[str]) -> None:
     from prtnet.cli_render import make_picture
 
     session.finish(make_picture(options, threads(options.threads), session.console))
+
+
+def render_field(argv: Sequence[str]) -> None:
+    """Draw a field of transfer or lobes on a mesh."""
+    from prtnet.cli_arguments import check_output
+    from prtnet.cli_render_field import FieldOptions, make_field_picture
+
+    options, session = arguments("render", argv, FieldOptions)
+    check_output(options.out, *options.inputs())
+    work = threads(options.threads), session.console
+    session.finish(make_field_picture(options, *work))
 
 
 def view(argv: Sequence[str]) -> None:
@@ -419,7 +435,7 @@ COMMANDS = {
     ),
     "render": Command(
         render,
-        "Draw pictures or a movie of a posed scene, without a window.",
+        "Draw pictures or a movie of a posed scene, or a baked FIELD (render FIELD --help).",
         "prtnet render robot.safetensors robot.glb --clip Walk --out frame.png --compare truth",
     ),
     "view": Command(

@@ -7,7 +7,6 @@ ray tracer and the renderers alike.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -178,12 +177,7 @@ def camera_of(options: RenderOptions, actor: ModelledScene, clip: Clip, posed: P
         camera = framing(actor, clip.name, aspect, azimuth=angles[0], elevation=angles[1])
     else:
         camera = Camera.framing(actor.scene.geometry(posed.pose).positions[0], aspect, *angles)
-    if options.zoom == 1.0:
-        return camera
-    eye, target = np.asarray(camera.eye), np.asarray(camera.target)
-    nearer = tuple((target + (eye - target) / options.zoom).tolist())
-    near = 0.02 * float(np.linalg.norm(eye - target)) / options.zoom
-    return dataclasses.replace(camera, eye=nearer, near=near)
+    return camera.nearer(options.zoom)
 
 
 @contextlib.contextmanager

@@ -93,6 +93,15 @@ class Camera:
         eye = (self.target[0] + c * x + s * z, self.target[1] + y, self.target[2] + c * z - s * x)
         return dataclasses.replace(self, eye=eye)
 
+    def nearer(self, zoom: float) -> Camera:
+        """The camera so many times closer to its target."""
+        if zoom == 1.0:
+            return self
+        eye, target = np.asarray(self.eye), np.asarray(self.target)
+        x, y, z = (target + (eye - target) / zoom).tolist()
+        near = 0.02 * float(np.linalg.norm(eye - target)) / zoom
+        return dataclasses.replace(self, eye=(x, y, z), near=near)
+
     def view(self) -> FloatArray:
         """World to camera, (4, 4)."""
         eye = np.asarray(self.eye, dtype=np.float64)

@@ -21,6 +21,8 @@ from runtime.shading import Surface, reflected_light
 __all__ = [
     "Renderer",
     "RendererName",
+    "averaged",
+    "finer",
     "opened",
     "render",
     "render_colours",

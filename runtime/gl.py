@@ -24,7 +24,7 @@ from runtime.reflected import Subject
 from runtime.shading import Surface
 from runtime.stage import TEXTURE_WIDTH, Stage
 
-__all__ = ["GLRenderer", "available", "create_context"]
+__all__ = ["GLRenderer", "available", "check_size", "create_context", "framed", "pixels_of"]
 
 VERTEX_SHADER = """#version 330
 const int TEXELS = $TEXELS;  // of one vertex, four coefficients each
@@ -133,7 +133,7 @@ class GLRenderer:
         Raises:
             PrtnetError: the picture or the mesh is larger than this OpenGL can hold.
         """
-        limit = self._limit(size)
+        limit = check_size(self._context, size)
         texels = texels_of(surface.transfer)
         if -(-len(surface.positions) // (TEXTURE_WIDTH // texels)) > limit:
             message = f"{len(surface.positions)} vertices do not fit a texture"
@@ -164,7 +164,7 @@ class GLRenderer:
             camera: where from.
             size: width and height in pixels.
         """
-        self._limit(size)
+        check_size(self._context, size)
         order = operator.order
         with self._context, contextlib.ExitStack() as made:
             if order not in self._stages:
@@ -173,29 +173,9 @@ class GLRenderer:
             stage.show(subject)
             stage.light(lobes)
             stage.material(operator)
-            frame = self._frame(size, made)
+            frame = framed(self._context, size, made)
             stage.draw(frame, camera.matrix(size[0] / size[1]), np.asarray(camera.eye))
             return pixels_of(frame, size)
-
-    def _limit(self, size: tuple[int, int]) -> int:
-        """The largest texture's side; PrtnetError where the picture is larger."""
-        limit = int(self._context.info["GL_MAX_TEXTURE_SIZE"])
-        if max(size) > limit:
-            message = f"{size[0]}x{size[1]} is more than this OpenGL draws ({limit}); ask for less"
-            raise PrtnetError("--size", message)
-        return limit
-
-    def _frame(self, size: tuple[int, int], made: contextlib.ExitStack) -> Any:
-        """A framebuffer of linear colour and depth, cleared and in use."""
-        colour = self._context.texture(size, 4, dtype="f4")
-        made.callback(colour.release)
-        depth = self._context.depth_renderbuffer(size)
-        made.callback(depth.release)
-        frame = self._context.framebuffer([colour], depth)
-        made.callback(frame.release)
-        frame.use()
-        frame.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
-        return frame
 
     def _program(self, texels: int) -> Any:
         if texels not in self._programs:
@@ -229,10 +209,36 @@ class GLRenderer:
         made.callback(indices.release)
         mesh = context.vertex_array(program, [(positions, "3f", "position")], indices)
         made.callback(mesh.release)
-        frame = self._frame(size, made)
+        frame = framed(self._context, size, made)
         context.enable_only(moderngl.DEPTH_TEST)
         mesh.render(moderngl.TRIANGLES)
         return pixels_of(frame, size)
+
+
+def check_size(context: moderngl.Context, size: tuple[int, int]) -> int:
+    """The largest texture's side.
+
+    Raises:
+        PrtnetError: a picture of this size is larger.
+    """
+    limit = int(context.info["GL_MAX_TEXTURE_SIZE"])
+    if max(size) > limit:
+        message = f"{size[0]}x{size[1]} is more than this OpenGL draws ({limit}); ask for less"
+        raise PrtnetError("--size", message)
+    return limit
+
+
+def framed(context: moderngl.Context, size: tuple[int, int], made: contextlib.ExitStack) -> Any:
+    """A framebuffer of linear colour and depth, cleared and in use; ``made`` gives it back."""
+    colour = context.texture(size, 4, dtype="f4")
+    made.callback(colour.release)
+    depth = context.depth_renderbuffer(size)
+    made.callback(depth.release)
+    frame = context.framebuffer([colour], depth)
+    made.callback(frame.release)
+    frame.use()
+    frame.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
+    return frame
 
 
 def pixels_of(frame: Any, size: tuple[int, int]) -> FloatArray:

@@ -37,7 +37,7 @@ class Triangles:
         x, y: snapped corners in 1/256 pixel, y down, integers in float64, (T, 3).
         z: window depth of the corners, (T, 3).
         inverse_w: reciprocal of the corners' clip w, (T, 3).
-        colour: of the side that is seen, (T, 3, 3).
+        colour: C channels of the side that is seen, (T, 3, C).
         area: twice the area, positive, (T,).
     """
 
@@ -56,7 +56,7 @@ class Target:
     width: int
     height: int
     depth: FloatArray  # [H·W]
-    rgba: FloatArray  # [H·W, 4]
+    rgba: FloatArray  # [H·W, C + 1]
 
 
 def rasterise(
@@ -72,27 +72,29 @@ def rasterise(
     Args:
         positions: vertices, (V, 3) in world space.
         faces: triangles, (T, 3), counter-clockwise from the front.
-        radiance: linear colour of each vertex, (V, 3).
+        radiance: linear colour of each vertex, (V, 3), or anything else to interpolate, (V, C).
         matrix: world to clip space, (4, 4), as ``Camera.matrix``.
         size: width and height in pixels, each at most ``GUARD``.
-        back_radiance: colour (V, 3) of the back of each vertex; None for the same as the front.
+        back_radiance: colour (V, C) of the back of each vertex; None for the same as the front.
 
     Returns:
-        (H, W, 4) float32, top row first: colour, 0 where nothing is, and coverage, 0 or 1.
+        (H, W, C + 1) float32, top row first: colour, 0 where nothing is, and coverage, 0 or 1.
     """
     width, height = size
     count = width * height
-    target = Target(width, height, np.full(count, np.inf), np.zeros((count, 4), dtype=np.float32))
+    channels = radiance.shape[1]
+    rgba = np.zeros((count, channels + 1), dtype=np.float32)
+    target = Target(width, height, np.full(count, np.inf), rgba)
     points = np.concatenate([positions, np.ones((len(positions), 1))], axis=1, dtype=np.float64)
     sides = [radiance, radiance if back_radiance is None else back_radiance]
     with np.errstate(invalid="ignore", over="ignore"):  # vertices at infinity are left out below
         projected = points @ matrix.T
-    vertices = np.concatenate([projected, *sides], axis=1, dtype=np.float64)  # [V, 10]
+    vertices = np.concatenate([projected, *sides], axis=1, dtype=np.float64)  # [V, 4 + 2 C]
     for start in range(0, len(faces), FACE_BLOCK):
         corners = vertices[faces[start : start + FACE_BLOCK]]
         triangles = project(clip(corners, width, height), width, height)
         shade(triangles, nearest(triangles, target), target)
-    return target.rgba.reshape(height, width, 4)
+    return rgba.reshape(height, width, channels + 1)
 
 
 def clip(corners: FloatArray, width: int, height: int) -> FloatArray:
@@ -145,7 +147,8 @@ def project(corners: FloatArray, width: int, height: int) -> Triangles:
     y = np.rint((1 - corners[..., 1] / w) * (0.5 * height * SUBPIXEL))
     area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
     front = (area < 0)[:, None, None]  # y points down: counter-clockwise is negative
-    colour = np.where(front, corners[..., 4:7], corners[..., 7:10])
+    channels = (corners.shape[-1] - 4) // 2
+    colour = np.where(front, corners[..., 4 : 4 + channels], corners[..., 4 + channels :])
     z, inverse_w = 0.5 + 0.5 * corners[..., 2] / w, 1.0 / w
     order = np.where(area[:, None] < 0, [0, 2, 1], [0, 1, 2])
     keep = area != 0
@@ -241,5 +244,5 @@ def shade(triangles: Triangles, seen: IntArray, target: Target) -> None:
         x, y = (SUBPIXEL * (k + 0.5) for k in (pixel % target.width, pixel // target.width))
         weight = (a * x[:, None] + b * y[:, None] + c) * triangles.inverse_w[owner]
         weight /= weight.sum(axis=1, keepdims=True)
-        target.rgba[pixel, :3] = np.einsum("nk,nkc->nc", weight, triangles.colour[owner])
-        target.rgba[pixel, 3] = 1.0
+        target.rgba[pixel, :-1] = np.einsum("nk,nkc->nc", weight, triangles.colour[owner])
+        target.rgba[pixel, -1] = 1.0

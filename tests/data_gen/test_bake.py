@@ -61,6 +61,7 @@ def test_turned_mesh_has_the_same_transfer_in_its_own_frames() -> None:
             for one in (mesh.positions, mesh.normals, mesh.tangents)
         ),
         mesh.faces,
+        mesh.vertices,
     )
     one, other = bake_mesh(mesh, QUICK), bake_mesh(turned, QUICK)
     assert one.metadata["energy"][1] > 0.01

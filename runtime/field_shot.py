@@ -1,0 +1,90 @@
+"""A picture of a field on a mesh, by OpenGL or by NumPy."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from prtnet.arrays import FloatArray
+from prtnet.canvas import Canvas
+from prtnet.lobe_field import LobeField
+from prtnet.transfer import TransferField
+from runtime.camera import Camera
+from runtime.draw import RendererName, averaged, finer
+from runtime.lobe_picture import drawn_by_numpy
+from runtime.lobe_shading import LobeLight, light_table
+
+__all__ = ["FieldShot"]
+
+
+@dataclass(frozen=True, eq=False)
+class FieldShot:
+    """What a picture is of.
+
+    Attributes:
+        canvas: the mesh, posed.
+        light: SH coefficients of the environment's radiance, world frame, (n², 3).
+        camera: where from.
+        size: of the picture, in pixels.
+    """
+
+    canvas: Canvas
+    light: FloatArray
+    camera: Camera
+    size: tuple[int, int]
+
+    def draw(
+        self,
+        field: LobeField | TransferField,
+        renderer: RendererName = "cpu",
+        by_table: bool = True,
+        samples: int = 4,
+    ) -> FloatArray:
+        """The picture, (H, W, 4) linear. Full transfer, turned exactly, is drawn by NumPy always.
+
+        Args:
+            field: of the light's order.
+            renderer: 'gl' or 'cpu'.
+            by_table: lobes are looked up in the light's table; otherwise evaluated.
+            samples: a pixel, a square number.
+
+        Raises:
+            PrtnetError: the picture or the field is too large, or there is no OpenGL.
+        """
+        fine = finer(self.size, samples)
+        by_table = by_table and isinstance(field, LobeField)
+        light = LobeLight(self.light, light_table(self.light) if by_table else None)
+        matrix, eye = self.camera.matrix(self.size[0] / self.size[1]), np.asarray(self.camera.eye)
+        if renderer == "gl" and isinstance(field, LobeField):
+            picture = drawn_by_gl(field, self.canvas, light, eye, matrix, fine)
+        else:
+            picture = drawn_by_numpy(field, self.canvas, light, eye, matrix, fine)
+        return averaged(picture, self.size)
+
+
+def drawn_by_gl(
+    field: LobeField,
+    canvas: Canvas,
+    light: LobeLight,
+    eye: FloatArray,
+    matrix: FloatArray,
+    size: tuple[int, int],
+) -> FloatArray:
+    """As ``drawn_by_numpy``, by a context of its own."""
+    from runtime.gl import check_size, create_context, framed, pixels_of
+    from runtime.lobe_stage import LobeStage
+
+    context = create_context()
+    with contextlib.ExitStack() as made:
+        made.callback(context.release)
+        made.enter_context(context)
+        check_size(context, size)
+        stage = LobeStage(context, field, light.table is not None)
+        made.callback(stage.release)
+        stage.light(light)
+        stage.show(canvas)
+        frame = framed(context, size, made)
+        stage.draw(frame, matrix, eye)
+        return pixels_of(frame, size)
