@@ -15,7 +15,7 @@ from prtnet.arrays import FloatArray
 from prtnet.console import Report, silent
 from prtnet.lobe_field import LobeField, halved
 from prtnet.transfer import Patch, Surface, TransferField
-from prtnet.zh import Lobes, LobesApart, apart, bands_apart
+from prtnet.zh import Lobes, LobesApart, apart
 from prtnet.zh_fit import fit_lobes
 from prtnet.zh_surface import bilinear, coherent_lobes, with_midpoints
 
@@ -30,8 +30,8 @@ def lobe_field(
 ) -> LobeField:
     """The nearest field of lobes; its metadata say how far it is, and what it took.
 
-    Lobes are fitted to the bands that are not stored apart: of three or more, without the linear
-    one [1, section 3.3].
+    The lowest bands are stored apart [1, section 3.3]: three axes hold any linear band, so that a
+    fit to all bands is one to the others as well.
 
     Args:
         field: what to fit.
@@ -62,24 +62,16 @@ def lobe_field(
     )  # fmt: skip
 
 
-def without_low(transfer: FloatArray, count: int) -> FloatArray:
-    """Transfer (…, n²) less the bands that are stored apart from so many lobes."""
-    rest = transfer.copy()
-    rest[..., : bands_apart(count) ** 2] = 0.0
-    return rest
-
-
 def fitted_apart(
     field: TransferField, transfer: FloatArray, count: int, report: Report
 ) -> LobesApart:
     """Lobes (K, R, N), each row of each point by itself."""
     del field
     flat = transfer.reshape(-1, transfer.shape[-1])
-    rest = without_low(flat, count)
     parts = []
     for start in range(0, len(flat), BLOCK):
         report("lobes", start, len(flat))
-        parts.append(fit_lobes(rest[start : start + BLOCK], count, STARTS, GOOD))
+        parts.append(fit_lobes(flat[start : start + BLOCK], count, STARTS, GOOD))
     axes, coefficients = (
         np.concatenate([getattr(part, name) for part in parts]).reshape(
             *transfer.shape[:2], count, -1

@@ -17,7 +17,6 @@ from prtnet.lobe_fit import between, lobe_field
 from prtnet.sh import evaluate
 from prtnet.transfer import Patch, Surface, TransferField
 from prtnet.zh import Lobes, LobesApart, linear_axis
-from prtnet.zh_fit import fit_lobes
 from prtnet.zh_surface import interpolated
 
 ORDER = 4
@@ -89,15 +88,25 @@ def test_the_error_told_is_the_error(count: int) -> None:
     assert told["seconds"] > 0
 
 
-def test_lobes_are_fitted_without_what_is_stored_apart() -> None:
-    """The linear band is exact, and the fit of the others no worse than with it."""
-    field = patch()
-    target = field.vectors.astype(np.float64)
-    lobes = lobe_field(field, 3)
-    got = lobes.lobes.harmonics()[:, 0]
-    np.testing.assert_allclose(got[:, :4], target[:, :4], rtol=1e-3, atol=1e-4)
-    whole = fit_lobes(target, 3, 4).harmonics()
-    assert np.linalg.norm((got - target)[:, 4:]) < np.linalg.norm((whole - target)[:, 4:]) + 2e-3
+def test_a_linear_band_out_of_the_plane_of_all_axes() -> None:
+    """It is stored apart, and costs the other bands nothing."""
+    angle = np.radians([[10.0], [80.0], [155.0]])
+    axes = np.concatenate([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    target = (evaluate(axes, ORDER) * np.repeat([0.0, 0.0, 1.0, 0.7], [1, 3, 5, 7])).sum(axis=0)
+    target[2] = 3.0
+    field = dataclasses.replace(patch(), transfer=np.tile(target.astype(np.float32), (48, 1, 1)))
+    assert lobe_field(field, 3).metadata["fit"]["error"] < 1e-3
+
+
+def test_samples_lie_between_texels() -> None:
+    """A texture that repeats across has some behind its last column; rows end with their last."""
+    layout = patch(tiles=(True, False)).layout
+    weights = between(layout).toarray().reshape(11, 16, 6, 8)
+    corners = np.zeros((6, 8))
+    corners[2, 7] = corners[2, 0] = 0.5
+    np.testing.assert_array_equal(weights[4, 15], corners)
+    assert weights[10, 0, 5, 0] == 1.0
+    assert weights[9, 2, 4, 1] == weights[9, 2, 5, 1] == 0.5
 
 
 def test_coherent_lobes_hold_between_texels() -> None:

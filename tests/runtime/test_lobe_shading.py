@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prtnet.canvas import Canvas, plane
+from prtnet.canvas import plane
 from prtnet.environment import environment
 from prtnet.hemisphere import cells
 from prtnet.lobe_fit import lobe_field
@@ -139,15 +139,14 @@ def test_texels_are_met_at_their_middles_and_borders_go_on(tiles, coherent) -> N
 def test_the_back_bulges_as_the_front_does() -> None:
     """Seen from behind under mirrored light, a plane is its own mirror image."""
     field, canvas = lobe_field(patch(), 3), plane(2.0)
-    light = light_of(4)
+    light = LobeLight(RANDOM.normal(size=(16, 3)))
     band = np.repeat(np.arange(4), 2 * np.arange(4) + 1)
     m = np.arange(16) - band * (band + 1)
     mirrored = LobeLight(light.harmonics * np.where((band + m) % 2, -1.0, 1.0)[:, None])
     size, matrix = (40, 40), np.diag([1.5, 1.5, -1.0, 1.0])
     eye = np.array([0.0, 0.0, 5.0])
     front = drawn_by_numpy(field, canvas, light, eye, matrix, size)
-    turned = Canvas(canvas.positions, canvas.tangents, canvas.normals, canvas.faces, canvas.places)
     flipped = matrix @ np.diag([-1.0, 1.0, 1.0, 1.0])  # left and right, as from behind
-    back = drawn_by_numpy(field, turned, mirrored, -eye, flipped, size)
+    back = drawn_by_numpy(field, canvas, mirrored, -eye, flipped, size)
     assert front[..., 3].mean() > 0.5
     np.testing.assert_allclose(back[:, ::-1], front, atol=1e-4)

@@ -107,7 +107,6 @@ def compared(got: np.ndarray, want: np.ndarray) -> float:
      (1, 1, 1, False), (3, 1, 2, False)],
 )  # fmt: skip
 def test_a_patch_is_drawn_as_numpy_draws_it(context, count, rows, order, coherent, by_table):
-    """On a vase that is open, so that backs are seen, twisted."""
     field = lobe_field(bumpy(rows, order), count, coherent)
     canvas, light = vase(5, 0.8).twisted(0.8), light_of(order)
     given = light if by_table else LobeLight(light.harmonics)
@@ -131,8 +130,9 @@ def test_a_mesh_is_drawn_as_numpy_draws_it(context, count, rows, order, by_table
 
 
 def test_a_border_goes_on_where_a_patch_does_not_tile(context):
+    """On a plane that is twisted until its back is seen."""
     field = lobe_field(bumpy(1, 4, (False, True)), 3)
-    light, canvas = light_of(4), plane(2.5)
+    light, canvas = light_of(4), plane(2.5).twisted(4.0)
     want = drawn_by_numpy(
         field, canvas, light, np.asarray(CAMERA.eye), CAMERA.matrix(SIZE[0] / SIZE[1]), SIZE
     )
