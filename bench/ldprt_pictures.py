@@ -68,7 +68,7 @@ def shot(canvas: Canvas, size: tuple[int, int] = SIZE) -> FieldShot:
 def sheet(rows: list[list[FloatArray]], across: list[str], along: list[str]) -> Image.Image:
     """Pictures (H, W, 3) in rows, with words above and beside them."""
     height, width = rows[0][0].shape[:2]
-    left, top, gap = 14 + 8 * max(map(len, along)), 24, 4
+    left, top, gap = 14 + 8 * max(len(line) for words in along for line in words.split("\n")), 24, 4
     page = Image.new(
         "RGB", (left + len(across) * (width + gap), top + len(rows) * (height + gap)), PAPER
     )
