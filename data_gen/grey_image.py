@@ -71,7 +71,10 @@ def grey_of(picture: Image.Image) -> FloatArray:
     if picture.mode == "F":
         return np.asarray(picture, dtype=np.float64)
     if picture.mode.startswith("I"):
-        return np.asarray(picture, dtype=np.float64) / 65535.0
+        grey = np.asarray(picture, dtype=np.float64)
+        if grey.max(initial=0.0) > 65535.0 or grey.min(initial=0.0) < 0.0:
+            raise ValueError("whole numbers beyond 16 bits; save it with 16 bits or as floats")
+        return grey / 65535.0
     colour = np.asarray(picture.convert("RGB"), dtype=np.float64) / 255.0
     return np.asarray(colour @ LUMINANCE)
 

@@ -59,6 +59,9 @@ def read_arrays(path: str | Path, key: str) -> tuple[dict[str, Any], dict[str, A
     except (OSError, ValueError, TypeError, safetensors.SafetensorError) as error:
         raise PrtnetError(path, f"is damaged or no safetensors file ({error})") from error
     if not isinstance(header, dict):
+        other = header_key(path)
+        if other in MADE_BY and other != key:
+            raise PrtnetError(path, f"is a prtnet {MADE_BY[other][0]}, not a {kind}; {make}")
         raise PrtnetError(path, f"is a safetensors file but no prtnet {kind}; {make}")
     return header, arrays
 

@@ -136,7 +136,8 @@ def simulated(options: BakeOptions, threads: int, report: Report) -> TransferFie
     name = Path(options.source).name
     told = {"source": name, **field.metadata}
     if options.brdf is not None:
-        told["brdf"] = Path(options.brdf).name
+        measured = Path(options.brdf)
+        told["brdf"] = measured.name if measured.is_file() else options.brdf
     return type(field)(field.transfer, field.layout, field.view, told)
 
 

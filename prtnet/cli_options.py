@@ -96,7 +96,7 @@ class Common:
 class InfoOptions:
     """Options of ``prtnet info``."""
 
-    file: Positional[Path]  # scene, dataset or model
+    file: Positional[Path]  # scene, dataset, model or field
 
 
 @dataclass(frozen=True)

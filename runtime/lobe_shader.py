@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from prtnet.arrays import FloatArray
+from prtnet.errors import PrtnetError
 from prtnet.glsl import WIDTH, filled, harmonics_glsl
 from prtnet.lobe_field import LobeField
 from prtnet.reflection import LOWEST
@@ -240,8 +241,16 @@ def texels_of(field: LobeField) -> int:
 
 
 def columns_of(field: LobeField) -> int:
-    """Vertices in a row of a texture."""
-    return WIDTH // (field.rows * (1 + field.count * texels_of(field)))
+    """Vertices in a row of a texture.
+
+    Raises:
+        PrtnetError: not even one fits.
+    """
+    columns = WIDTH // (field.rows * (1 + field.count * texels_of(field)))
+    if columns == 0:
+        what = f"{field.rows} rows of {field.count} lobes are too many for a texture"
+        raise PrtnetError("--renderer gl", f"{what}; use --renderer cpu")
+    return columns
 
 
 def point_texels(field: LobeField) -> FloatArray:

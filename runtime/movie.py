@@ -48,7 +48,10 @@ def movie(path: Path, fps: int) -> Iterator[Callable[[FloatArray], None]]:
         PrtnetError: PyAV is not installed, or the file cannot be written.
     """
     av = require_movies(path)
-    codec = next(name for name in CODECS if name in av.codecs_available)
+    codec = next((name for name in CODECS if name in av.codecs_available), None)
+    if codec is None:
+        known = " or ".join(CODECS)
+        raise PrtnetError(path, f"needs a PyAV with {known}; install another, or save pictures")
     options = {"movflags": "faststart"}  # plays before it is all there
     with writing(path) as partial, av.open(str(partial), "w", "mp4", options=options) as file:
         stream = file.add_stream(codec, rate=fps, options=CODECS[codec])

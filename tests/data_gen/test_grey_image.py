@@ -41,6 +41,12 @@ def test_sixteen_bits_and_floats(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_grey(light), [[0.5, -np.inf]], rtol=1e-6)
 
 
+def test_whole_numbers_beyond_sixteen_bits_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    Image.fromarray(np.array([[0, 70000]], dtype=np.int32)).save(path)
+    assert "beyond 16 bits" in complaint(path)
+
+
 def test_colours_and_palettes_become_grey(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     Image.fromarray(np.array([[[0, 255, 0, 9]]], dtype=np.uint8)).save(path)

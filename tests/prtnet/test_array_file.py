@@ -30,7 +30,7 @@ def test_round_trip(tmp_path: Path) -> None:
 def test_other_kinds_are_told_apart(tmp_path: Path) -> None:
     path = tmp_path / "a.safetensors"
     write_arrays(path, {"is": "ours"}, {"a": np.zeros(1)}, TRANSFER)
-    assert "no prtnet model; train one first" in complaint(path, MODEL)
+    assert "is a prtnet transfer field, not a model; train one first" in complaint(path, MODEL)
     safetensors.numpy.save_file({"a": np.zeros(1)}, path)
     assert "no prtnet transfer field; bake one first" in complaint(path, TRANSFER)
     assert header_key(path) is None

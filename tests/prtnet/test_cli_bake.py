@@ -88,6 +88,9 @@ def test_parametric_models(tmp_path: Path) -> None:
 def test_glossy_and_scattering(tmp_path: Path) -> None:
     field = baked(tmp_path, "bumps", "--size", "8x8", "--brdf", "gold", "--rows", "2")
     assert (field.rows, field.metadata["brdf"]) == (2, "gold")
+    coloured = "ggx:roughness=0.5,diffuse=0.1/0.2/0.5"  # slashes that are no folders
+    field = baked(tmp_path, "bumps", "--size", "4x4", "--brdf", coloured, "--rows", "1")
+    assert field.metadata["brdf"] == coloured
     assert field.view is not None
     options = ("--subsurface", "marble", "--metres", "0.03", "--thickness", "0.002")
     field = baked(tmp_path, "waffle", "--size", "8x8", *options)

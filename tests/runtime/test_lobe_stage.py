@@ -12,6 +12,7 @@ import pytest
 from prtnet.brdf import GGX
 from prtnet.canvas import Canvas, plane, vase
 from prtnet.environment import environment
+from prtnet.errors import PrtnetError
 from prtnet.glossy import brdf_rows
 from prtnet.lobe_field import LobeField
 from prtnet.lobe_fit import lobe_field
@@ -149,6 +150,17 @@ def test_the_shaders_are_webgl_2s(context, rows, by_table):
         mesh_shaders(mesh, by_table, WEB),
     ):
         context.program(vertex_shader=vertex, fragment_shader=fragment).release()
+
+
+def test_lobes_that_no_texture_holds_are_refused(context):
+    field, _ = own_mesh(rows=2, order=2, count=1)
+    many = LobeField(
+        np.repeat(field.low, 600, axis=1), np.repeat(field.axes, 600, axis=1),
+        np.repeat(field.coefficients, 600, axis=1), field.layout,
+        view=np.repeat(field.view, 600, axis=0),
+    )  # fmt: skip
+    with pytest.raises(PrtnetError, match="use --renderer cpu"):
+        LobeStage(context, many)
 
 
 def test_what_does_not_belong_together_is_refused(context):
