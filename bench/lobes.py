@@ -138,7 +138,8 @@ def transfer_table(target: FloatArray, name: str) -> None:
             started = time.perf_counter()
             found = fit_lobes(target, lobes, starts, GOOD)
             seconds = time.perf_counter() - started
-            each = misses(found, target) / np.linalg.norm(target, axis=1)
+            length = np.linalg.norm(target, axis=1)  # 0 where a vertex sees nothing
+            each = misses(found, target) / np.where(length == 0, 1.0, length)
             rows.append([
                 f"{lobes}, {starts} random starts" if starts else str(lobes),
                 per_cent(relative_error(target, found)),

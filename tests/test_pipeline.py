@@ -219,8 +219,10 @@ def test_models_that_look_around_every_receiver(kind: str, work: Path, tmp_path:
     assert errors["pca_floor"] <= errors["rms"]
     folder = tmp_path / "export"
     prtnet("export", out, "--out", folder, "--quiet")
-    assert {file.name for file in folder.iterdir()} == {"model.onnx", "model.json", "README.md"}
-    assert "what surrounds every receiver" in (folder / "README.md").read_text()
+    files = {"model.onnx", "model.json", "README.md", "occluders.onnx"}
+    files |= {"latent.onnx", "gpu.bin", "gpu.json", "prtnet.glsl"}
+    assert {file.name for file in folder.iterdir()} == files
+    assert "`occluders.onnx` turns the pose" in (folder / "README.md").read_text()
     picture = ("--out", tmp_path / "frame.png", "--size", "40x40", "--renderer", "cpu", "--quiet")
     prtnet("render", out, work / "arm.glb", *picture)
 
@@ -429,7 +431,7 @@ def test_slow_steps_report(work: Path, tmp_path: Path, monkeypatch: pytest.Monke
     picture = ("--out", tmp_path / "x.png", "--size", "40x30", "--renderer", "cpu", "--rays", "8")
     prtnet("render", *scene, *picture, "--compare", "truth", "--quiet")
     prtnet("evaluate", *scene, "--dump", tmp_path / "x.npz", "--fps", "1", "--rays", "8", "--quiet")
-    assert list(dict.fromkeys(told)) == ["material", "tracing the truth", "dumped poses", "poses"]
+    assert list(dict.fromkeys(told)) == ["material", "pictures", "dumped poses", "poses"]
 
 
 def test_demonstration(
