@@ -86,7 +86,8 @@ class Show:
         self._predicted: tuple[Any, FloatArray] | None = None
         self._traced: tuple[Any, FloatArray] | None = None
         self._inset: tuple[Any, list[tuple[FloatArray, tuple[int, int]]]] | None = None
-        self._others: tuple[Any, list[tuple[Subject, FloatArray, Any]]] | None = None
+        self._crowd: tuple[Any, FloatArray, list[Subject]] | None = None
+        self._evaluated: dict[Any, list[Any]] = {}  # by what evaluates the crowd's poses
         self._room = elbow_room(self.actor)
         self._white = white_light(self.order)
         self._matte = material(brdf_named("matte"), order=self.order)
@@ -273,17 +274,22 @@ class Show:
         self, view: View, evaluate: Callable[[FloatArray], Iterable[T]]
     ) -> list[tuple[Subject, FloatArray, T]]:
         """All characters but the first: vertices, place, and what the model makes of the pose."""
-        key = (view.moments, view.copies, evaluate)
-        if view.copies > 1 and (self._others is None or self._others[0] != key):
-            places = crowd_places(view.copies, self._room)[1:]
+        if view.copies == 1:
+            return []
+        key = (view.moments, view.copies)
+        if self._crowd is None or self._crowd[0] != key:
             started = clock.perf_counter()
             poses = crowd_poses(self.actor, view, view.copies)[1:]
-            subjects = [posed_subject(self.actor, pose[None]) for pose in poses]
-            posed = clock.perf_counter()
-            found = evaluate(poses)
-            self._count(pose=1e3 * (posed - started), model=1e3 * (clock.perf_counter() - posed))
-            self._others = key, list(zip(subjects, places, found, strict=True))
-        return [] if view.copies == 1 or self._others is None else self._others[1]
+            self._crowd = key, poses, [posed_subject(self.actor, pose[None]) for pose in poses]
+            self._evaluated = {}
+            self._count(pose=1e3 * (clock.perf_counter() - started))
+        _, poses, subjects = self._crowd
+        if evaluate not in self._evaluated:
+            started = clock.perf_counter()
+            self._evaluated[evaluate] = list(evaluate(poses))
+            self._count(model=1e3 * (clock.perf_counter() - started))
+        places = crowd_places(view.copies, self._room)[1:]
+        return list(zip(subjects, places, self._evaluated[evaluate], strict=True))
 
     def _count(self, **spent: float) -> None:
         """Milliseconds of stages: those of both sides of a split are summed."""

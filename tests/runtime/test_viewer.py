@@ -457,6 +457,23 @@ def test_many_characters_are_each_drawn_in_their_own_pose_and_place(viewer, orde
     assert np.mean(np.abs(seen - read(viewer)).max(axis=-1) > 20) > 0.01
 
 
+def test_a_crowd_is_posed_once_for_both_sides_of_the_split(viewer, monkeypatch):
+    """One side shows what latents give, the other vertices alone: two evaluators, one crowd."""
+    asked = []
+    monkeypatch.setattr(
+        "runtime.show.crowd_poses", lambda *given: (asked.append(given), crowd_poses(*given))[1]
+    )
+    view = viewer.view
+    view.playing = False
+    view.left, view.right, view.split, view.copies = "prediction", "ambient", 0.5, 3
+    for _ in range(3):
+        viewer.picture()
+    assert len(asked) == 1
+    view.time += 0.3
+    viewer.picture()
+    assert len(asked) == 2
+
+
 def test_memory_is_told_by_what_takes_it(viewer):
     viewer.view.left = "visibility"
     viewer.show.truth(viewer.view, wait=True)
