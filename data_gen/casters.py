@@ -22,6 +22,7 @@ from data_gen.visibility import Tracer
 from prtnet.arrays import BoolArray, FloatArray, IntArray
 from prtnet.frames import orthonormal_frames
 from prtnet.scene import Receivers
+from prtnet.transfer import wrapped
 
 __all__ = ["Caster", "Hits", "MeshCaster", "PatchCaster"]
 
@@ -281,11 +282,6 @@ def floored(heights: FloatArray, size: float) -> FloatArray:
     if max(-float(found.min()), top) > FARTHEST * size:
         raise ValueError("heights lie too far from 0 for the width of the patch")
     return found
-
-
-def wrapped(index: IntArray, count: int, tiles: bool) -> IntArray:
-    """Texels that indices beyond the border stand for."""
-    return np.asarray(index % count if tiles else np.clip(index, 0, count - 1))
 
 
 def grid_faces(rows: int, columns: int) -> IntArray:

@@ -11,11 +11,11 @@ from PIL import Image, UnidentifiedImageError
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 from prtnet.exr import read_exr
+from prtnet.luminance import REC709
 
 __all__ = ["PICTURES", "read_grey"]
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".tga", ".pgm", ".exr")
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 LARGEST = 1 << 26  # pixels
 
 
@@ -33,7 +33,7 @@ def read_grey(path: str | Path, texels: tuple[int, int] | None = None) -> FloatA
         PrtnetError: it is no picture, too large, or holds NaN or +∞.
     """
     path = Path(path)
-    grey = read_exr(path) @ LUMINANCE if path.suffix.lower() == ".exr" else decoded(path)
+    grey = read_exr(path) @ REC709 if path.suffix.lower() == ".exr" else decoded(path)
     if np.isnan(grey).any():
         count = int(np.isnan(grey).sum())
         raise PrtnetError(path, f"holds {count} values that are not numbers (NaN); repair it")
@@ -76,7 +76,7 @@ def grey_of(picture: Image.Image) -> FloatArray:
             raise ValueError("whole numbers beyond 16 bits; save it with 16 bits or as floats")
         return grey / 65535.0
     colour = np.asarray(picture.convert("RGB"), dtype=np.float64) / 255.0
-    return np.asarray(colour @ LUMINANCE)
+    return np.asarray(colour @ REC709)
 
 
 def resampled(grey: FloatArray, texels: tuple[int, int]) -> FloatArray:

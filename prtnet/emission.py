@@ -16,12 +16,11 @@ import numpy as np
 from prtnet.arrays import FloatArray
 from prtnet.environment import Environment
 from prtnet.equirectangular import Picture
+from prtnet.luminance import REC709
 from prtnet.presets import Disc, Lamp, Preset, direction_of
 from prtnet.sampling import Cells, around, linear
 
 __all__ = ["Cap", "Dome", "Emitter", "Panorama", "SoftLobe", "Turned", "emitters"]
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec. 709 RGB
 
 
 class Emitter(Protocol):
@@ -220,9 +219,9 @@ def emitters(light: Environment) -> list[Emitter]:
     """
     source = light.source
     if isinstance(source, Picture):
-        found: list[Emitter] = [Panorama((np.abs(source.texels) @ LUMINANCE)[..., None])]
+        found: list[Emitter] = [Panorama((np.abs(source.texels) @ REC709)[..., None])]
     elif isinstance(source, Preset):
-        grey = [float(np.dot(c, LUMINANCE)) for c in (source.nadir, source.horizon, source.zenith)]
+        grey = [float(np.dot(c, REC709)) for c in (source.nadir, source.horizon, source.zenith)]
         found = [Turned(Dome(*grey), pole(np.array([0.0, 1.0, 0.0])))]
         found += [emitter_of(lamp) for lamp in source.lamps]
     else:
@@ -232,7 +231,7 @@ def emitters(light: Environment) -> list[Emitter]:
 
 def emitter_of(lamp: Lamp | Disc) -> Emitter:
     """To draw from a lamp of a preset."""
-    luminance = float(np.dot(lamp.colour, LUMINANCE))
+    luminance = float(np.dot(lamp.colour, REC709))
     shape: Emitter
     if isinstance(lamp, Disc):
         shape = Cap(2.0 * math.sin(math.radians(lamp.outer) / 2.0) ** 2, luminance)

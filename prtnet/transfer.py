@@ -31,6 +31,7 @@ __all__ = [
     "layout_from",
     "layout_parts",
     "whole",
+    "wrapped",
 ]
 
 FORMAT_VERSION = 1
@@ -57,6 +58,17 @@ class Patch:
 
     def __len__(self) -> int:
         return int(self.heights.size)
+
+
+def wrapped(index: IntArray, count: int, tiles: bool) -> IntArray:
+    """Texels 0 … count − 1 that indices along a side of a patch stand for, beyond its border too.
+
+    Args:
+        index: whole numbers (…).
+        count: of texels along that side.
+        tiles: whether it repeats; otherwise its border goes on outwards.
+    """
+    return np.asarray(index % count if tiles else np.clip(index, 0, count - 1))
 
 
 @dataclass(frozen=True, eq=False)

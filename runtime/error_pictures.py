@@ -13,6 +13,7 @@ from PIL import Image
 
 from prtnet.arrays import FloatArray
 from prtnet.dataset import Dataset
+from prtnet.luminance import luminance
 from runtime.camera import Camera
 from runtime.draw import Renderer, render, render_colours
 from runtime.picture import (
@@ -20,7 +21,6 @@ from runtime.picture import (
     backdrop,
     colour_map,
     develop,
-    luminance,
     rounded_up,
     srgb_encode,
     to_bytes,

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from prtnet.arrays import FloatArray, IntArray
+from prtnet.arrays import FloatArray
 from prtnet.canvas import Canvas
 from prtnet.frames import orthonormal_frames
 from prtnet.lobe_field import LobeField
 from prtnet.scene import unit
-from prtnet.transfer import Patch, TransferField
+from prtnet.transfer import Patch, TransferField, wrapped
 from prtnet.zh import Lobes, LobesApart
 from runtime.lobe_shading import LobeLight, rows_radiance, seen_in, view_factors
 from runtime.rasteriser import rasterise
@@ -112,11 +112,6 @@ def sampled(field: LobeField | TransferField, places: FloatArray) -> LobesApart 
     return LobesApart(
         bilinear(low, places, layout), Lobes(turned / length, at(coefficients, places, layout))
     )
-
-
-def wrapped(index: IntArray, count: int, tiles: bool) -> IntArray:
-    """Texels of a line that repeats, or whose last ones go on."""
-    return np.asarray(index % count if tiles else index.clip(0, count - 1))
 
 
 def nearest(texels: FloatArray, places: FloatArray, layout: Patch) -> FloatArray:

@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from prtnet.arrays import FloatArray
 from prtnet.files import writing
+from prtnet.luminance import luminance
 
 __all__ = [
     "Panel",
@@ -23,19 +24,12 @@ __all__ = [
     "compose_panels",
     "develop",
     "laid_over",
-    "luminance",
     "save_png",
     "srgb_encode",
 ]
 
 WHITE_POINT = 0.85  # linear value the brightest part of a surface is exposed to
-REC709 = np.array([0.2126, 0.7152, 0.0722])
 PAPER, INK, QUIET = (24, 25, 28), (236, 237, 240), (150, 153, 160)
-
-
-def luminance(linear: FloatArray) -> FloatArray:
-    """Relative luminance (...) of linear Rec. 709 RGB (..., 3)."""
-    return linear @ REC709.astype(linear.dtype)
 
 
 def srgb_encode(linear: FloatArray) -> FloatArray:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-import shutil
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +13,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 import hypothesis
 import pytest
+
+from tests.virtual_screen import started_screen
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -49,18 +49,7 @@ def gl_problem() -> str | None:
 @pytest.fixture(scope="session")
 def display() -> Iterator[str]:
     """A virtual screen to open windows on."""
-    program = shutil.which("Xvfb")
-    if program is None:
-        problem = "Xvfb is not installed; run scripts/system-gl.sh"
-        if os.environ.get("PRTNET_REQUIRE_GL") == "1":
-            pytest.fail(problem)
-        pytest.skip(problem)
-    reader, writer = os.pipe()
-    options = ["-displayfd", str(writer), "-screen", "0", "1280x1024x24", "-nolisten", "tcp"]
-    server = subprocess.Popen([program, *options], pass_fds=[writer], stderr=subprocess.DEVNULL)
-    os.close(writer)
-    with os.fdopen(reader) as told:
-        name = f":{told.readline().strip()}"
+    server, name = started_screen("1280x1024")
     before = os.environ.get("DISPLAY")
     os.environ["DISPLAY"] = name
     yield name

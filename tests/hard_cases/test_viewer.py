@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 
@@ -13,6 +12,7 @@ from PIL import Image
 from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm
 from tests.runtime.test_posed_surface import modelled
+from tests.virtual_screen import started_screen
 
 START = 60.0  # seconds that a window may take to open on a busy machine
 
@@ -71,15 +71,7 @@ def test_without_opengl_pictures_are_drawn_by_numpy_and_it_is_said(files, tmp_pa
 
 @pytest.mark.gl
 def test_a_display_that_goes_away_is_one_line(files, tmp_path):
-    program = shutil.which("Xvfb")
-    if program is None:
-        pytest.skip("Xvfb is not installed; run scripts/system-gl.sh")
-    reader, writer = os.pipe()
-    options = ["-displayfd", str(writer), "-screen", "0", "640x480x24", "-nolisten", "tcp"]
-    server = subprocess.Popen([program, *options], pass_fds=[writer], stderr=subprocess.DEVNULL)
-    os.close(writer)
-    with os.fdopen(reader) as told:
-        display = f":{told.readline().strip()}"
+    server, display = started_screen("640x480")
     # A process that says when its first picture is there.
     code = (
         "import sys, runtime.viewer as v; step = v.Viewer.step\n"

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from prtnet import sh
-from prtnet.emission import LUMINANCE, Cap, Dome, Emitter, Panorama, SoftLobe, Turned, emitters
+from prtnet.emission import Cap, Dome, Emitter, Panorama, SoftLobe, Turned, emitters
 from prtnet.environment import Environment, about_up
 from prtnet.equirectangular import Picture
+from prtnet.luminance import REC709
 from prtnet.presets import PRESETS, Disc, Preset
 from prtnet.sampling import lattice
 
@@ -31,8 +32,8 @@ EMITTERS: dict[str, Emitter] = {
     "cap": Turned(Cap(0.4, 3.0), TILT),  # no edge along a ring of the quadrature
     "dome": Dome(0.2, 0.0, 1.3),
     "sky": Dome(0.0, 0.4, 0.0),
-    "picture": Panorama((texels() @ LUMINANCE)[..., None]),
-    "picture with a sun": Panorama((texels(500.0) @ LUMINANCE)[..., None]),
+    "picture": Panorama((texels() @ REC709)[..., None]),
+    "picture with a sun": Panorama((texels(500.0) @ REC709)[..., None]),
     "turned": Turned(SoftLobe(20.0, 1.0), TILT),
 }
 
@@ -67,7 +68,7 @@ def test_parts_of_a_preset_are_as_bright_as_it_is(name):
         one.draw(lattice(20)) for one in emitters(light)
     )])  # fmt: skip
     total = sum(one.power * one.density(directions) for one in emitters(light))
-    luminance = light.radiance(directions) @ LUMINANCE
+    luminance = light.radiance(directions) @ REC709
     if any(isinstance(lamp, Disc) for lamp in PRESETS[name].lamps):
         assert (total >= luminance - 1e-9).all()
     else:
@@ -80,10 +81,10 @@ def test_a_picture_is_drawn_as_its_radiance_says(peak):
     light = Environment(Picture(texels(peak))).rotated(about_up(33.0))
     (panorama,) = emitters(light)
     drawn = panorama.draw(lattice(5000))
-    ratio = light.radiance(drawn) @ LUMINANCE / panorama.density(drawn)
+    ratio = light.radiance(drawn) @ REC709 / panorama.density(drawn)
     # The mean is the power itself; single ones differ by sin θ within a row.
     directions, weights = sh.quadrature(900)
-    power = weights @ light.radiance(directions) @ LUMINANCE
+    power = weights @ light.radiance(directions) @ REC709
     assert ratio.mean() == pytest.approx(power, rel=3e-3)
     assert ratio.max() < 2.1 * power
     assert panorama.power == pytest.approx(power, rel=0.02)
@@ -108,4 +109,4 @@ def test_light_that_is_less_than_nothing_is_drawn_too():
     picture[6, 6] = -40.0
     (panorama,) = emitters(Environment(Picture(picture)))
     drawn = panorama.draw(lattice(2000))
-    assert (Picture(picture).radiance(drawn) @ LUMINANCE < -10.0).any()
+    assert (Picture(picture).radiance(drawn) @ REC709 < -10.0).any()

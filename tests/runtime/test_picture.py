@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 from prtnet.errors import PrtnetError
+from prtnet.luminance import luminance
 from runtime.picture import (
     Panel,
     auto_exposure,
@@ -13,7 +14,6 @@ from runtime.picture import (
     comparison,
     compose_panels,
     develop,
-    luminance,
     rounded_up,
     save_png,
     srgb_encode,
