@@ -175,7 +175,7 @@ def test_spoiled_files_are_refused(tmp_path: Path) -> None:
         assert said in str(caught.value)
         assert "\n" not in str(caught.value)
     patch().save(path)
-    with pytest.raises(PrtnetError, match="no prtnet field of lobes"):
+    with pytest.raises(PrtnetError, match="is a prtnet transfer field, not a field of lobes"):
         LobeField.load(path)
 
 
