@@ -22,9 +22,10 @@ from tables import per_cent, publish, scene_path
 from data_gen.readers import read_scene
 from data_gen.visibility import trace_pose
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.axis_frames import rolled
 from prtnet.frames import FrameField, orthonormal_frames, rest_tangents
 from prtnet.scene import Geometry, Receivers, Scene
-from prtnet.tangents import perpendicular, rolled, tangents_beside
+from prtnet.tangents import perpendicular, tangents_beside
 
 STEP = 1 / 30  # seconds between the two poses that drift is measured over
 

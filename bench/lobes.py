@@ -25,8 +25,8 @@ from threadpoolctl import threadpool_limits
 from data_gen.visibility import Tracer
 from prtnet import sh
 from prtnet.arrays import FloatArray
+from prtnet.axis_frames import any_tangent
 from prtnet.frames import orthonormal_frames
-from prtnet.tangents import any_tangent
 from prtnet.zh import Lobes, best_coefficients, relative_error
 from prtnet.zh_fit import ITERATIONS, Search, fit_lobes
 

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from prtnet.arrays import FloatArray
+from prtnet.axis_frames import frame_about
 from prtnet.environment import Environment
 from prtnet.equirectangular import Picture
 from prtnet.luminance import REC709
@@ -222,7 +223,7 @@ def emitters(light: Environment) -> list[Emitter]:
         found: list[Emitter] = [Panorama((np.abs(source.texels) @ REC709)[..., None])]
     elif isinstance(source, Preset):
         grey = [float(np.dot(c, REC709)) for c in (source.nadir, source.horizon, source.zenith)]
-        found = [Turned(Dome(*grey), pole(np.array([0.0, 1.0, 0.0])))]
+        found = [Turned(Dome(*grey), frame_about(np.array([0.0, 1.0, 0.0])))]
         found += [emitter_of(lamp) for lamp in source.lamps]
     else:
         found = []
@@ -237,12 +238,4 @@ def emitter_of(lamp: Lamp | Disc) -> Emitter:
         shape = Cap(2.0 * math.sin(math.radians(lamp.outer) / 2.0) ** 2, luminance)
     else:
         shape = SoftLobe(lamp.sharpness, luminance)
-    return Turned(shape, pole(direction_of(lamp.azimuth, lamp.elevation)))
-
-
-def pole(axis: FloatArray) -> FloatArray:
-    """A rotation (3, 3) that takes +z to a unit axis (3,)."""
-    helper = np.eye(3)[np.argmin(np.abs(axis))]
-    first = np.cross(helper, axis)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(axis, first), axis], axis=1)
+    return Turned(shape, frame_about(direction_of(lamp.azimuth, lamp.elevation)))

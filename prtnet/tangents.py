@@ -17,6 +17,7 @@ import scipy.sparse
 from scipy.cluster.vq import kmeans2
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.axis_frames import any_tangent
 from prtnet.scene import (
     PointCacheScene,
     Receivers,
@@ -27,7 +28,7 @@ from prtnet.scene import (
     unit,
 )
 
-__all__ = ["rest_tangents", "rolled", "surface_graph", "tangents_beside"]
+__all__ = ["rest_tangents", "surface_graph", "tangents_beside"]
 
 SWEEPS = 100  # of smoothing: a hundredth of a second each, and seams vanish
 CLUSTERS = 32  # of a point cache
@@ -164,14 +165,6 @@ def seamed(
     return tangents_beside(tangents, normals)
 
 
-def any_tangent(normals: FloatArray) -> FloatArray:
-    """Some unit vector perpendicular to each unit normal (..., 3)."""
-    axis = np.zeros_like(normals)
-    smallest = np.argmin(np.abs(normals), axis=-1)[..., None]
-    np.put_along_axis(axis, smallest, 1.0, axis=-1)
-    return unit(np.cross(normals, axis), (1.0, 0.0, 0.0))
-
-
 def perpendicular(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     """The part of ``vectors`` in the plane of unit ``normals``."""
     return vectors - np.einsum("...i,...i->...", vectors, normals)[..., None] * normals
@@ -184,12 +177,3 @@ def tangents_beside(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     if short.any():
         flat[short] = any_tangent(normals[short])
     return unit(perpendicular(unit(flat), normals), (1.0, 0.0, 0.0))
-
-
-def rolled(vectors: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Vectors (..., 3) after the smallest turn from unit normals ``start`` to ``end``."""
-    axis = np.cross(start, end)
-    cosine = np.sum(start * end, axis=-1, keepdims=True)
-    along = np.sum(axis * vectors, axis=-1, keepdims=True)
-    turned = cosine * vectors + np.cross(axis, vectors)
-    return turned + axis * along / np.maximum(1.0 + cosine, 1e-6)

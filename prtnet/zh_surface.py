@@ -22,6 +22,7 @@ import scipy.sparse.linalg
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.axis_frames import frame_about
 from prtnet.cores import core_count
 from prtnet.sh import evaluate, order_of
 from prtnet.zh import (
@@ -139,23 +140,7 @@ def cone(target: FloatArray, count: int, angle: float, turn: float) -> FloatArra
     )  # fmt: skip
     if alone:
         local = np.concatenate([[[0.0, 0.0, 1.0]], local])
-    return local @ np.swapaxes(from_pole(middle), -1, -2)
-
-
-def from_pole(axis: FloatArray) -> FloatArray:
-    """Rotations (K, 3, 3) that take +z to unit vectors (K, 3) by the shortest way.
-
-    Of the many ways to −z they take one.
-    """
-    x, y, z = axis.T
-    below = z < -1.0 + 1e-9
-    factor = 1.0 / np.where(below, 1.0, 1.0 + z)
-    result = np.stack(
-        [1.0 - x * x * factor, -x * y * factor, x,
-         -x * y * factor, 1.0 - y * y * factor, y, -x, -y, z], axis=-1
-    ).reshape(-1, 3, 3)  # fmt: skip
-    result[below] = np.diag([1.0, -1.0, -1.0])
-    return result
+    return local @ np.swapaxes(frame_about(middle), -1, -2)
 
 
 class Surface:

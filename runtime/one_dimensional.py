@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prtnet.arrays import FloatArray
+from prtnet.axis_frames import frame_about
 from prtnet.brdf import mirrored
 from prtnet.errors import PrtnetError
 from prtnet.phong import phong_transfer, phong_zonal
@@ -41,7 +42,6 @@ __all__ = [
     "LobeSide",
     "OneDimensional",
     "above_horizon",
-    "frame_around",
     "lobe_radiance",
     "one_dimensional_radiance",
     "unshadowed_radiance",
@@ -115,24 +115,6 @@ def above_horizon(visibility: Lobes) -> Lobes:
     return Lobes(np.concatenate([axes, up], -2), np.concatenate([coefficients, more], -2))
 
 
-def frame_around(axis: FloatArray) -> FloatArray:
-    """Rotations (..., 3, 3) whose last column is a unit vector (..., 3).
-
-    Without a branch but the sign of z, so also at ±z: Duff et al., "Building an Orthonormal Basis,
-    Revisited", JCGT 6(1), 2017. Which turn around the axis makes no difference to a lobe.
-    """
-    x, y, z = np.moveaxis(np.asarray(axis, dtype=np.float64), -1, 0)
-    sign = np.where(z >= 0.0, 1.0, -1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    columns = [
-        [1.0 + sign * x * x * a, sign * b, -sign * x],
-        [b, sign + y * y * a, -y],
-        [x, y, z],
-    ]
-    return np.stack([np.stack(column, axis=-1) for column in columns], axis=-1)
-
-
 def lobe_radiance(
     visibility: Lobes, light: Lobes, axis: FloatArray, exponent: FloatArray | float
 ) -> FloatArray:
@@ -151,7 +133,7 @@ def lobe_radiance(
     Raises:
         PrtnetError: an exponent is negative or not finite.
     """
-    frame = frame_around(axis)  # v @ frame is frameᵀ v
+    frame = frame_about(axis)  # v @ frame is frameᵀ v
     seen = Lobes(visibility.axes @ frame, visibility.coefficients).harmonics()
     shed = Lobes(light.axes @ frame[:, None], light.coefficients).harmonics()
     return np.einsum("vci,vi->vc", shed, phong_transfer(np.asarray(exponent), seen))

@@ -38,11 +38,13 @@ uniform highp sampler2D front_lobes;
 uniform highp sampler2D back_lobes;
 
 $PHONG
-mat3 frame_around(vec3 a) {
-    float s = a.z >= 0.0 ? 1.0 : -1.0;
-    float p = -1.0 / (s + a.z);
-    float q = a.x * a.y * p;
-    return mat3(1.0 + s * a.x * a.x * p, s * q, -s * a.x, q, s + a.y * a.y * p, -a.y, a);
+// As prtnet.axis_frames: +z is taken there by the shortest way.
+mat3 frame_about(vec3 a) {
+    float sine = length(a.xy);
+    vec2 side = sine > 0.0 ? a.xy / sine : vec2(1.0, 0.0);
+    vec2 less = (1.0 - a.z) * side;
+    return mat3(1.0 - less.x * side.x, -less.x * side.y, -a.x,
+                -less.x * side.y, 1.0 - less.y * side.y, -a.y, a);
 }
 
 // Visibility in a frame whose columns are given in the local one.
@@ -89,7 +91,7 @@ vec3 lit(mat3 turn, float t[COEFFICIENTS]) {
 // (e + 1)/2pi times the integral of light, visibility and the e-th power of the cosine to an axis,
 // given in the local frame, over the hemisphere around it.
 vec3 lobe_radiance(bool behind, mat3 frame, vec3 local, float e) {
-    mat3 turn = frame_around(local);
+    mat3 turn = frame_about(local);
     float v[COEFFICIENTS];
     float t[COEFFICIENTS];
     seen(behind, turn, v);

@@ -17,7 +17,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.tangents import rolled
+from prtnet.axis_frames import rolled
 
 __all__ = ["ComplexArray", "SurfaceWalk", "edge_graph"]
 

@@ -9,7 +9,7 @@ import trimesh.creation as shapes
 from data_gen.casters import MeshCaster, PatchCaster
 from data_gen.reliefs import relief
 from prtnet import sh
-from prtnet.tangents import any_tangent
+from prtnet.axis_frames import any_tangent
 
 
 def ball_on_a_plate() -> MeshCaster:

@@ -12,8 +12,8 @@ from data_gen.casters import MeshCaster, PatchCaster
 from data_gen.reliefs import relief
 from data_gen.transport import bounce, gather, unit_irradiance
 from prtnet import sh
+from prtnet.axis_frames import any_tangent
 from prtnet.operators import cosine_matrix
-from prtnet.tangents import any_tangent
 
 WHITE = math.sqrt(4 * math.pi)  # what light 1 from all around is, by its first coefficient
 

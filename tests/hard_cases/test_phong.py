@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from prtnet import sh
+from prtnet.axis_frames import frame_about
 from prtnet.phong import phong_matrix, phong_transfer, phong_zonal
 from prtnet.sh_rotation import rotate
 from prtnet.zh import Lobes
@@ -16,7 +17,6 @@ from runtime.one_dimensional import (
     LobeSide,
     OneDimensional,
     above_horizon,
-    frame_around,
     lobe_radiance,
     one_dimensional_radiance,
 )
@@ -75,7 +75,7 @@ def test_axes_at_and_beside_the_poles(axis):
     light = random_light(order)
     own = Lobes(light.axes[None], light.coefficients)
     got = lobe_radiance(visibility, own, axis[None], 5.0)
-    frame = frame_around(axis)
+    frame = frame_about(axis)
     np.testing.assert_allclose(frame.T @ frame, np.eye(3), atol=1e-15)
     spin = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
     turn = (frame @ spin).T

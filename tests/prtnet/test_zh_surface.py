@@ -14,7 +14,6 @@ from prtnet.zh_surface import (
     bilinear,
     coherent_lobes,
     cone,
-    from_pole,
     interpolants,
     interpolated,
     with_midpoints,
@@ -211,15 +210,6 @@ def test_lobes_around_the_linear_axis():
         np.testing.assert_allclose(cosine[:, alone:], math.cos(0.4))
     pair = cone(target, 2, 0.4, 0.7)
     np.testing.assert_allclose((pair[:, 0] * pair[:, 1]).sum(axis=-1), math.cos(0.8))
-
-
-def test_from_the_pole_to_anywhere():
-    axes = np.concatenate([sh.fibonacci_sphere(40), [[0, 0, 1], [0, 0, -1]]])
-    rotations = from_pole(axes)
-    np.testing.assert_allclose(rotations[..., 2], axes, atol=1e-12)
-    product = rotations @ np.swapaxes(rotations, -1, -2)
-    np.testing.assert_allclose(product, np.tile(np.eye(3), (42, 1, 1)), atol=1e-9)
-    np.testing.assert_allclose(np.linalg.det(rotations), 1, atol=1e-9)
 
 
 def test_what_does_not_go_together_is_refused():

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prtnet import sh
+from prtnet.axis_frames import frame_about
 from prtnet.brdf import BRDF, Phong, mirrored
 from prtnet.errors import PrtnetError
 from prtnet.factors import harmonic_factors, tabulate
@@ -21,7 +22,6 @@ from runtime.one_dimensional import (
     LobeSide,
     OneDimensional,
     above_horizon,
-    frame_around,
     lobe_radiance,
     one_dimensional_radiance,
     unshadowed_radiance,
@@ -126,7 +126,7 @@ def test_harmonics_of_light_turned_by_matrices():
     exact = exact_lobes(light.T)
     turned = Lobes(np.einsum("vji,cnj->vcni", side.frames, exact.axes), exact.coefficients)
     got = lobe_radiance(side.visibility, turned, local, alpha)
-    inverse = np.swapaxes(frame_around(local), -1, -2)
+    inverse = np.swapaxes(frame_about(local), -1, -2)
     seen = rotate(side.visibility.harmonics(), inverse)
     turn = inverse @ side.frames.swapaxes(1, 2)
     shed = rotate(np.broadcast_to(light.T, (6, 3, order**2)), turn[:, None])
@@ -222,16 +222,6 @@ def test_the_horizon_darkens_oblique_views():
     half = lobe_radiance(above_horizon(Lobes(up, white)), world, grazing, 3.0)
     np.testing.assert_allclose(full, 1.0, atol=1e-12)
     np.testing.assert_allclose(half, 0.5, atol=1e-12)
-
-
-def test_frames_around_any_axis():
-    axes = random_lobes((50, 3), 1, 0).axes
-    frames = frame_around(axes)
-    np.testing.assert_allclose(frames[..., 2], axes)
-    np.testing.assert_allclose(
-        np.swapaxes(frames, -1, -2) @ frames, np.broadcast_to(np.eye(3), frames.shape), atol=1e-14
-    )
-    np.testing.assert_allclose(np.linalg.det(frames), 1.0)
 
 
 def test_bad_input_is_told():

@@ -10,6 +10,7 @@ import moderngl
 import numpy as np
 import pytest
 
+from prtnet.axis_frames import frame_about
 from prtnet.glsl import harmonics_glsl
 from prtnet.phong import phong_transfer, phong_zonal
 from prtnet.zh import Lobes, exact_lobes
@@ -19,7 +20,6 @@ from runtime.one_dimensional import (
     LobeSide,
     OneDimensional,
     above_horizon,
-    frame_around,
     one_dimensional_radiance,
 )
 from runtime.one_dimensional_shader import (
@@ -270,11 +270,14 @@ def test_many_vertices_fill_several_rows(context):
 
 def test_frames_around_any_axis(context):
     axes = random_lobes((40, 3), 1, 0).axes.reshape(-1, 3)
+    step = np.array([0.0, 1e-30, 1e-6, 1e-3])
+    beside = np.stack([0.6 * step, -0.8 * step, np.sqrt(1.0 - step**2)], axis=1)
+    axes = np.concatenate([axes, beside, beside * [1.0, 1.0, -1.0]])
     source = HEAD.replace("$ORDER", "4").replace("$VERSION", VERSIONS[0]) + LIGHT.replace(
         "$LOBES", str(most_lobes(4))
     )
     source += harmonics_glsl(4) + one_dimensional_glsl(4, 1)
-    source += "in vec3 given;\nout mat3 frame;\nvoid main() { frame = frame_around(given); }\n"
+    source += "in vec3 given;\nout mat3 frame;\nvoid main() { frame = frame_about(given); }\n"
     with contextlib.ExitStack() as held:
         program = context.program(vertex_shader=source, varyings=["frame"])
         held.callback(program.release)
@@ -286,4 +289,10 @@ def test_frames_around_any_axis(context):
         held.callback(result.release)
         mesh.transform(result, moderngl.POINTS, vertices=len(axes))
         columns = np.frombuffer(result.read(), "f4").reshape(-1, 3, 3)
-    np.testing.assert_allclose(columns.swapaxes(1, 2), frame_around(axes), atol=1e-6)
+    frames = columns.swapaxes(1, 2)
+    gram = columns @ frames
+    np.testing.assert_allclose(gram, np.broadcast_to(np.eye(3), gram.shape), atol=1e-6)
+    near = np.hypot(axes[:, 0], axes[:, 1]) < 1e-19  # 32 bits know no side of the pole there
+    far = ~near | (axes[:, 2] > 0.0)
+    np.testing.assert_allclose(frames[far], frame_about(axes)[far], atol=1e-6)
+    np.testing.assert_allclose(frames[..., 2], axes, atol=1e-6)
