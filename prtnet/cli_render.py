@@ -124,7 +124,7 @@ def staged_shots(
     console: Console,
 ) -> Callable[[Frame], Shot]:
     """What makes a shot of a frame."""
-    from runtime.looks import cut_lobes, lobes_of
+    from runtime.looks import lobes_of
     from runtime.shot import Shot
 
     light = environment(options.light).turned(options.light_turn)
@@ -139,8 +139,8 @@ def staged_shots(
 
     def take(frame: Frame) -> Shot:
         return Shot(
-            posed(frame.time), camera.around(frame.turn), light, cut_lobes(lobes, order), brdf,
-            operator, options.size, order,
+            posed(frame.time), camera.around(frame.turn), light, lobes, brdf, operator,
+            options.size, order,
         )  # fmt: skip
 
     return take

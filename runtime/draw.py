@@ -14,8 +14,9 @@ from prtnet.errors import PrtnetError, nearest_name
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
 from runtime.camera import Camera
+from runtime.looks import cut_lobes, cut_visibility
 from runtime.rasteriser import rasterise
-from runtime.reflected import Subject, outgoing_radiance
+from runtime.reflected import Side, Subject, outgoing_radiance
 from runtime.shading import Surface, reflected_light
 
 __all__ = [
@@ -52,6 +53,7 @@ class Renderer(Protocol):
         operator: ReflectionOperator,
         camera: Camera,
         size: tuple[int, int],
+        order: int = 0,
     ) -> FloatArray:
         """The same of a subject of a material, under lobes of light of three colours."""
         ...
@@ -81,12 +83,13 @@ class CPURenderer:
         operator: ReflectionOperator,
         camera: Camera,
         size: tuple[int, int],
+        order: int = 0,
     ) -> FloatArray:
         """As ``GLRenderer.draw_material``."""
-        eye = np.asarray(camera.eye)
+        eye, lobes = np.asarray(camera.eye), cut_lobes(lobes, order)
+        shown = [Side(cut_visibility(one.visibility, order), one.frames) for one in subject.sides]
         colours = [
-            outgoing_radiance(subject.positions, side, eye, lobes, operator)
-            for side in subject.sides
+            outgoing_radiance(subject.positions, side, eye, lobes, operator) for side in shown
         ]
         matrix = camera.matrix(size[0] / size[1])
         back = None if subject.back is None else colours[1]
@@ -171,6 +174,7 @@ def render_material(
     camera: Camera,
     size: tuple[int, int],
     samples: int = 4,
+    order: int = 0,
 ) -> FloatArray:
     """A picture of a subject of any material under a distant light.
 
@@ -182,6 +186,7 @@ def render_material(
         camera: where from.
         size: width and height in pixels.
         samples: a pixel, a square number: 4 draws at twice the size and averages.
+        order: bands of light and visibility to show; 0 for all there are.
 
     Returns:
         As ``render``.
@@ -189,7 +194,7 @@ def render_material(
     Raises:
         PrtnetError: the picture is too large.
     """
-    fine = renderer.draw_material(subject, lobes, operator, camera, finer(size, samples))
+    fine = renderer.draw_material(subject, lobes, operator, camera, finer(size, samples), order)
     return averaged(fine, size)
 
 

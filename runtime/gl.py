@@ -154,6 +154,7 @@ class GLRenderer:
         operator: ReflectionOperator,
         camera: Camera,
         size: tuple[int, int],
+        order: int = 0,
     ) -> FloatArray:
         """Shade and draw a subject of any material, both sides; see ``draw``.
 
@@ -163,13 +164,15 @@ class GLRenderer:
             operator: the material.
             camera: where from.
             size: width and height in pixels.
+            order: bands of light and visibility to show; 0 for all there are.
         """
         check_size(self._context, size)
-        order = operator.order
+        whole = operator.order
         with self._context, contextlib.ExitStack() as made:
-            if order not in self._stages:
-                self._stages[order] = Stage(self._context, order)
-            stage = self._stages[order]
+            if whole not in self._stages:
+                self._stages[whole] = Stage(self._context, whole)
+            stage = self._stages[whole]
+            stage.show_bands(order)
             stage.show(subject)
             stage.light(lobes)
             stage.material(operator)

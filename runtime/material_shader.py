@@ -26,6 +26,7 @@ uniform vec3 eye;
 uniform int lobes;
 uniform vec3 axis[3 * $LOBES];  // of a colour's lobes, one colour after the other
 uniform float zonal[3 * $LOBES * ORDER];  // of each, by bands
+uniform int bands;  // of light and visibility that are shown
 uniform bool two_sided;
 uniform int factors;
 uniform int view_coefficients;
@@ -52,7 +53,7 @@ vec3 radiance(bool behind, vec3 tangent, vec3 normal) {
             int lobe = c * $LOBES + k;
             harmonics(axis[lobe] * frame, y);
             for (int l = 0; l < ORDER; ++l) {
-                float g = zonal[lobe * ORDER + l];
+                float g = l < bands ? zonal[lobe * ORDER + l] : 0.0;
                 for (int i = l * l; i < (l + 1) * (l + 1); ++i)
                     light[c * COEFFICIENTS + i] += g * y[i];
             }
@@ -60,6 +61,8 @@ vec3 radiance(bool behind, vec3 tangent, vec3 normal) {
     }
     vec4 v[TEXELS];
     visibility(behind, v);
+    for (int i = 0; i < 4 * TEXELS; ++i)
+        if (i >= bands * bands) v[i / 4][i % 4] = 0.0;
     vec3 view = normalize(eye - position) * frame;
     view = normalize(vec3(view.xy, max(view.z, $LOWEST)));
     harmonics(view, y);

@@ -73,7 +73,7 @@ class Shot:
         brdf: the material.
         operator: the material as a shader takes it.
         size: of the picture, in pixels.
-        order: bands of visibility that are shown; 0 for all.
+        order: bands of light and visibility that are shown; 0 for all.
     """
 
     posed: Posed
@@ -99,10 +99,11 @@ class Shot:
         if mode == "open":
             visibility = open_visibility(len(actor.receivers), operator.order)
         else:
-            whole = posed.visibility if mode == "visibility" else posed.predicted
-            visibility = cut_visibility(whole, self.order)
+            visibility = posed.visibility if mode == "visibility" else posed.predicted
         subject = seeing(actor, posed.subject, visibility)
-        return render_material(renderer, subject, lobes, operator, self.camera, self.size)
+        return render_material(
+            renderer, subject, lobes, operator, self.camera, self.size, order=self.order
+        )
 
     def _radiance(self) -> FloatArray:
         """Light traced without limits of bands, factors or lobes, (V, 3)."""

@@ -27,7 +27,6 @@ from runtime.cast import Cast
 from runtime.crowd import crowd_places, crowd_poses, elbow_room
 from runtime.error_pictures import error_scale, vertex_error
 from runtime.looks import (
-    cut_lobes,
     cut_visibility,
     heat_colours,
     lobes_of,
@@ -182,8 +181,7 @@ class Show:
         """One side of the split; nothing where the truth is not known yet."""
         matrix = camera.matrix(size[0] / size[1])
         eye = np.asarray(camera.eye)
-        whole = view.order in (0, self.order)
-        if mode == "prediction" and self.rebuilt is not None and whole:
+        if mode == "prediction" and self.rebuilt is not None:
             self._draw_latents(self.rebuilt, view, frame, matrix, eye)
             return
         if mode in ("truth", "error"):
@@ -198,6 +196,7 @@ class Show:
             return
         plain = mode == "ambient"
         white = Lobes(self._white.axes, self._white.coefficients / exposure)
+        self.stage.show_bands(view.order)
         self.stage.light(white if plain else self.lit(view))
         self.stage.material(self._matte if plain else self.operator(view))
         self.stage.show(seeing(self.actor, self.subject(view), shown))
@@ -206,7 +205,7 @@ class Show:
         if mode == "visibility":
             return
         for subject, place, others in self.others(view, self.cast.predict):
-            seen = shown if mode == "open" else cut_visibility(others, view.order)
+            seen = shown if mode == "open" else others
             self.stage.show(seeing(self.actor, subject, seen))
             self.stage.draw(frame, matrix @ moved(place), eye - place)
             self._count(**self.stage.milliseconds)
@@ -237,14 +236,14 @@ class Show:
         """What is shaded with, (V, n²); None if it is not known yet."""
         if mode == "open":
             return open_visibility(len(self.actor.receivers), self.order)
-        shown = self.truth(view) if mode == "visibility" else self.predicted(view)
-        return None if shown is None else cut_visibility(shown, view.order)
+        return self.truth(view) if mode == "visibility" else self.predicted(view)
 
     def _draw_latents(
         self, stage: Stage, view: View, frame: Any, matrix: FloatArray, eye: FloatArray
     ) -> None:
         """The prediction, its visibility rebuilt on the GPU."""
         assert self.cast.latents is not None
+        stage.show_bands(view.order)
         stage.light(self.lit(view))
         stage.material(self.operator(view))
         pose = self.pose(view)
@@ -417,7 +416,7 @@ class Show:
         if self._lit is None or self._lit[0] != key:
             light = self.environments(view.light).harmonics(self.order)
             self._lit = key, lobes_of(light, view.lobes)
-        return cut_lobes(self._lit[1].rotated(about_up(view.light_turn)), view.order)
+        return self._lit[1].rotated(about_up(view.light_turn))
 
 
 def moved(place: FloatArray) -> FloatArray:

@@ -82,6 +82,7 @@ class Stage:
         self._drawn = 0
         for unit, name in enumerate(TEXTURES):
             self._set(name, unit)
+        self.show_bands(0)
         if tables is not None:
             try:
                 self._take(tables)
@@ -254,6 +255,10 @@ class Stage:
         self._set("axis", axes)
         self._set("zonal", zonal)
         self._set("lobes", count)
+
+    def show_bands(self, order: int) -> None:
+        """Cut light and visibility to so many bands when drawing; 0 for all there are."""
+        self._set("bands", min(order, self.order) or self.order)
 
     def material(self, operator: ReflectionOperator) -> None:
         """Take a material.

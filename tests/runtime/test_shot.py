@@ -13,7 +13,7 @@ from prtnet.modelled_scene import ModelledScene
 from runtime.cast import Cast
 from runtime.draw import opened
 from runtime.gl import create_context
-from runtime.looks import cut_lobes, lobes_of
+from runtime.looks import lobes_of
 from runtime.shot import Posed, Shot
 from runtime.show import Show
 from runtime.view import MODES, View, framing
@@ -34,8 +34,8 @@ def shot_of(actor: ModelledScene, view: View, show: Show) -> Shot:
     light, brdf = environment(view.light).turned(view.light_turn), brdf_named(view.brdf)
     return Shot(
         Posed(actor, view.pose(actor), *tracers(actor, RAYS, 1)), show.camera(view), light,
-        cut_lobes(lobes_of(light.harmonics(order), view.lobes), view.order), brdf,
-        material(brdf, view.factors, order), SIZE, view.order,
+        lobes_of(light.harmonics(order), view.lobes), brdf, material(brdf, view.factors, order),
+        SIZE, view.order,
     )  # fmt: skip
 
 

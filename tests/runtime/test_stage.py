@@ -58,6 +58,39 @@ def test_the_shader_does_what_numpy_does(order, two_sided):
     assert np.mean(np.abs(pictures[0] - pictures[1]).max(-1) > 3e-3 * scale) < 1e-3
 
 
+@pytest.mark.parametrize("two_sided", [False, True])
+@pytest.mark.parametrize("order", [2, 4, 5])
+def test_bands_are_cut_in_the_shader(order, two_sided):
+    """As arrays of the lower order are shaded by NumPy, with one program for all orders."""
+    subject, lobes = knot_subject(order, two_sided), exact_lobes(sky(order).T)
+    operator = shining(order)
+    camera = three_quarters(subject, SIZE)
+    with GLRenderer() as renderer, opened("cpu") as numpy:
+        whole = renderer.draw_material(subject, lobes, operator, camera, SIZE)
+        program = renderer._stages[order].program
+        for few in range(1, order):
+            seen = renderer.draw_material(subject, lobes, operator, camera, SIZE, few)
+            size = few * few
+            lower = (
+                Subject(subject.positions, subject.faces,
+                        *(Side(one.visibility[:, :size], one.frames) for one in subject.sides)),
+                Lobes(lobes.axes, lobes.coefficients[..., :few]),
+                ReflectionOperator(operator.matrices[:, :size, :size], operator.view),
+            )  # fmt: skip
+            for expected in (
+                numpy.draw_material(*lower, camera, SIZE),
+                numpy.draw_material(subject, lobes, operator, camera, SIZE, few),
+            ):
+                scale = np.abs(expected).max()
+                assert np.mean(np.abs(seen - expected).max(-1) > 3e-3 * scale) < 1e-3
+            assert np.abs(seen - whole).max() > 0.05
+        assert list(renderer._stages) == [order]
+        assert renderer._stages[order].program is program
+        for every in (0, order, order + 1):
+            again = renderer.draw_material(subject, lobes, operator, camera, SIZE, every)
+            assert np.array_equal(again, whole)
+
+
 @pytest.mark.parametrize("name", ["gold", "satin"])
 def test_pictures_are_within_two_steps_of_eight_bits(name):
     subject, lobes = knot_subject(two_sided=True), exact_lobes(sky().T)
@@ -157,7 +190,16 @@ def test_a_prior_is_added_in_the_shader(kind, body, two_sided):
     assert np.abs(pictures[0] - pictures[1]).max() <= 1e-4 * np.abs(pictures[0]).max()
 
 
-def pictures_of(model, pose, two_sided):
+@pytest.mark.parametrize("order", [1, 2])
+def test_bands_of_rebuilt_visibility_are_cut(order):
+    model, pose = random_model(receivers=700, clusters=7, parts=2), random_poses(1, 5)
+    pictures = pictures_of(model, pose, False, order)
+    assert np.abs(pictures[0] - pictures[1]).max() <= 1e-4 * np.abs(pictures[0]).max()
+    whole = pictures_of(model, pose, False)
+    assert np.abs(pictures[1] - whole[1]).max() > 0.05 * np.abs(whole[1]).max()
+
+
+def pictures_of(model, pose, two_sided, order=0):
     """Pictures with the model's own visibility, and with that rebuilt in the shader."""
     tables = gpu_tables(model)
     visibility = model(pose)[0]
@@ -179,6 +221,7 @@ def pictures_of(model, pose, two_sided):
             stage = Stage(context, model.order, given)
             stage.light(lobes)
             stage.material(operator)
+            stage.show_bands(order)
             if given is None:
                 stage.show(subject)
             else:

@@ -29,7 +29,6 @@ from runtime.cast import Cast
 from runtime.crowd import crowd_places, crowd_poses, elbow_room
 from runtime.draw import opened, render_material
 from runtime.dropped import take_files
-from runtime.looks import cut_visibility
 from runtime.pick import projected
 from runtime.picture import develop, laid_over
 from runtime.posed_surface import posed_subject
@@ -340,16 +339,25 @@ def test_a_camera_that_moves_sees_the_last_truth_until_it_has_its_own(viewer):
 
 
 def test_fewer_bands_are_those_of_a_smaller_model(viewer):
+    """Cut where they are drawn: on the GPU, and nothing else is evaluated for it."""
     view, show = viewer.view, viewer.show
+    show.screen.samples = 0
     view.left = "prediction"
     whole = read(viewer)
+    program = show.rebuilt.program
     view.order = 2
     few = read(viewer)
     assert np.abs(whole - few).max() > 10
-    assert not show.lit(view).coefficients[..., 2:].any()
-    kept = show._visibility("prediction", view)
-    assert np.array_equal(kept[:, :4], show.predicted(view)[:, :4])
-    assert not kept[:, 4:].any()
+    assert show.rebuilt.program is program
+    assert show._predicted is None
+    subject = posed_subject(show.actor, show.pose(view), show.predicted(view))
+    with opened("cpu") as renderer:
+        linear = render_material(
+            renderer, subject, show.lit(view), show.operator(view), show.camera(view), SIZE,
+            samples=1, order=2,
+        )  # fmt: skip
+    expected = develop(linear, show.exposures["studio"]).astype(int)
+    assert np.mean(np.abs(few - expected).max(axis=-1) <= 2) >= 0.999
     view.order = show.order
     assert np.abs(whole - read(viewer)).max() == 0
 
@@ -425,7 +433,7 @@ def test_a_minimised_window_draws_nothing(viewer, monkeypatch):
     assert viewer.message == ""
 
 
-@pytest.mark.parametrize("order", [0, 2])  # rebuilt on the GPU, and not
+@pytest.mark.parametrize("order", [0, 2])
 def test_many_characters_are_each_drawn_in_their_own_pose_and_place(viewer, order):
     """As one after the other is drawn alone, by NumPy."""
     show, view = viewer.show, viewer.view
@@ -437,7 +445,7 @@ def test_many_characters_are_each_drawn_in_their_own_pose_and_place(viewer, orde
     poses = crowd_poses(show.actor, view, 3)
     assert np.array_equal(poses[:1], show.pose(view))
     assert len(np.unique(poses, axis=0)) == 3
-    shown = cut_visibility(show.cast.predict(poses), order)
+    shown = show.cast.predict(poses)
     subjects = [posed_subject(show.actor, poses[k : k + 1], shown[k]) for k in range(3)]
     vertices = len(subjects[0].positions)
     side = [Side(*(np.concatenate([getattr(s.front, name) for s in subjects])
@@ -449,8 +457,9 @@ def test_many_characters_are_each_drawn_in_their_own_pose_and_place(viewer, orde
     )
     with opened("cpu") as renderer:
         linear = render_material(
-            renderer, crowd, show.lit(view), show.operator(view), camera, size, samples=1
-        )
+            renderer, crowd, show.lit(view), show.operator(view), camera, size, samples=1,
+            order=order,
+        )  # fmt: skip
     expected = develop(linear, show.exposures["studio"]).astype(int)
     assert np.mean(np.abs(seen - expected).max(axis=-1) <= 2) >= 0.999
     view.copies = 1
