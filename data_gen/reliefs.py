@@ -13,7 +13,7 @@ import numpy as np
 
 from prtnet.arrays import FloatArray
 
-__all__ = ["PATTERNS", "relief", "seams_close"]
+__all__ = ["PATTERNS", "SCATTERED", "relief", "seams_close"]
 
 THREADS = 4  # of a weave, each way; even, so that over and under alternate across the border
 ROWS_OF_BUMPS = 4
@@ -76,6 +76,7 @@ def smooth(t: FloatArray) -> FloatArray:
 
 
 PATTERNS: dict[str, Pattern] = {"weave": weave, "swirl": swirl, "bumps": bumps, "waffle": waffle}
+SCATTERED = ("bumps",)  # those that a seed makes different
 
 
 def relief(name: str, texels: tuple[int, int], seed: int = 0) -> FloatArray:

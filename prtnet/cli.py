@@ -197,8 +197,9 @@ def generate(argv: Sequence[str]) -> None:
 
 def train(argv: Sequence[str]) -> None:
     """Fit a model to a dataset."""
-    from prtnet.cli_arguments import check_output, input_file, value_of
+    from prtnet.cli_arguments import check_output, input_file, named_options, value_of
     from prtnet.cli_options import TrainOptions, fraction_of
+    from prtnet.cli_train import check_lobe_options
     from training.budget import Budget
     from training.config import PRESETS
 
@@ -208,6 +209,7 @@ def train(argv: Sequence[str]) -> None:
     options, config, session = arguments("train", argv, TrainOptions, PRESETS[preset])
     max_error = fraction_of("--max-error", options.max_error)
     budget = Budget(max_error, options.max_ms, options.max_mb)
+    check_lobe_options(config, named_options(argv))
     check_output(options.out, input_file(options.dataset, folder=True))
 
     import torch
@@ -300,13 +302,13 @@ def render(argv: Sequence[str]) -> None:
 
 def render_field(argv: Sequence[str]) -> None:
     """Draw a field of transfer or lobes on a mesh."""
-    from prtnet.cli_arguments import check_output
+    from prtnet.cli_arguments import check_output, named_options
     from prtnet.cli_render_field import FieldOptions, make_field_picture
 
     options, session = arguments("render", argv, FieldOptions)
     check_output(options.out, *options.inputs())
     work = threads(options.threads), session.console
-    session.finish(make_field_picture(options, *work))
+    session.finish(make_field_picture(options, named_options(argv), *work))
 
 
 def view(argv: Sequence[str]) -> None:
@@ -356,10 +358,11 @@ def report(argv: Sequence[str]) -> None:
 
 def bake(argv: Sequence[str]) -> None:
     """Simulate local transfer of a mesh, a height field or a parametric model."""
-    from prtnet.cli_arguments import check_output
-    from prtnet.cli_bake import BakeOptions, baked, warnings_of
+    from prtnet.cli_arguments import check_output, named_options
+    from prtnet.cli_bake import BakeOptions, baked, check_options, warnings_of
 
     options, session = arguments("bake", argv, BakeOptions)
+    check_options(options, named_options(argv))
     check_output(options.out, *options.inputs())
     with session.console.progress() as progress:
         field = baked(options, threads(options.threads), progress)

@@ -20,7 +20,15 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from prtnet.errors import PrtnetError
 
-__all__ = ["check_output", "check_report", "input_file", "output_folder", "parse", "value_of"]
+__all__ = [
+    "check_output",
+    "check_report",
+    "input_file",
+    "named_options",
+    "output_folder",
+    "parse",
+    "value_of",
+]
 
 
 registry = ConstructorRegistry()
@@ -113,6 +121,12 @@ def value_of(option: str, argv: Sequence[str]) -> str | None:
         if word.startswith(f"{option}="):
             return word.partition("=")[2]
     return None
+
+
+def named_options(argv: Sequence[str]) -> dict[str, str]:
+    """The options that are given, whatever their values, as fields and as they are written."""
+    words = (word.partition("=")[0] for word in argv if word.startswith("--"))
+    return {word[2:].replace("-", "_"): word for word in words}
 
 
 def side_by_side(parts: Sequence[Any]) -> Any:

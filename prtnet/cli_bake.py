@@ -14,6 +14,16 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from prtnet.errors import PrtnetError, nearest_name
+from prtnet.limits import (
+    MOST_BOUNCES,
+    MOST_LOBES,
+    MOST_ORDER,
+    MOST_RAYS,
+    MOST_TEXELS,
+    MOST_THREADS,
+    check_side,
+    check_within,
+)
 
 if TYPE_CHECKING:
     from data_gen.bake import BakeConfig
@@ -21,14 +31,26 @@ if TYPE_CHECKING:
     from prtnet.lobe_field import LobeField
     from prtnet.transfer import TransferField
 
-__all__ = ["BakeOptions", "baked", "warnings_of"]
+__all__ = ["BakeOptions", "baked", "check_options", "warnings_of"]
 
 MEMBRANE, WRINKLE = "membrane", "wrinkle"
 TEXELS = (64, 64)  # of a pattern
 MAP = (32, 32)  # of a wrinkle
-LARGEST = 4096  # texels a side
-MOST_LOBES = 8
 RELIEF = 0.1  # depth of a relief over its width, where no depth is given
+
+# What options do something for each kind of source; all others are of any.
+SIMULATED = {"order", "rays", "bounces", "albedo", "subsurface", "brdf", "rows", "metres"}
+RELIEFS = SIMULATED | {"thickness", "size", "depth", "edges"}
+OPTIONS_OF = {
+    "pattern": RELIEFS,
+    "pattern that scatters": RELIEFS | {"seed"},
+    "picture": RELIEFS,
+    "mesh": SIMULATED,
+    "wrinkle": SIMULATED | {"size", "depth"},
+    "membrane": {"order", "albedo", "metres", "size", "translucency"},
+    "field": set[str](),
+}
+NEEDS = {"rows": "brdf", "thickness": "subsurface", "coherent": "lobes"}
 
 
 @dataclass(frozen=True)
@@ -38,48 +60,37 @@ class BakeOptions:
     source: Positional[str]  # mesh, picture, weave, swirl, bumps, waffle, membrane, wrinkle, field
     out: Path  # field to write, a .safetensors file
     order: int = 6  # bands of the spherical harmonics
-    rays: int = 1024  # rays per point
+    rays: int = 1024  # rays per point; not of a membrane
     bounces: int = 16  # of inter-reflection at most; 0 for shadows alone
-    albedo: float = 0.8  # share of light that the surface sends on
+    albedo: float = 0.8  # share of light that the surface sends on; not beside --subsurface
     subsurface: str | None = None  # marble, milk, ...; or SCATTERING/ABSORPTION per millimetre
     thickness: float | None = None  # metres under a relief's deepest place, lit from below
     brdf: str | None = None  # glossy rows of a preset, a BRDF as ggx:roughness=0.3, a MERL .binary
-    rows: int = 3  # of a glossy matrix
+    rows: int = 3  # of a glossy matrix: of --brdf
     lobes: int | None = None  # write zonal lobes, so many a row, instead of transfer as it is
     coherent: bool = False  # fit lobes all at once, so that they can be interpolated; slower
     size: tuple[int, int] | None = None  # texels; 64x64, a picture's own, 32x32 depths of a wrinkle
-    metres: float | None = None  # width of a patch or wrinkle (0.1), longest side of a mesh's box
-    depth: float | None = None  # metres that grey 0 and 1 are apart, or of the deepest wrinkle
+    metres: float | None = None  # width (0.1); longest side of a mesh that scatters
+    depth: float | None = None  # metres: grey 0 to 1, or the deepest wrinkle; not of a mesh
     edges: Literal["auto", "wrap", "clamp"] = "auto"  # a relief repeats, or its border goes on
     translucency: str = "0.5"  # of a membrane: a number from 0 to 1, or a picture of them
-    seed: int = 0  # of what a pattern scatters
+    seed: int = 0  # of what bumps scatters
     threads: int | None = None  # CPU threads; all cores when not given
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        counts = {"--order": (self.order, 1, 16), "--rays": (self.rays, 1, 1 << 17),
-                  "--bounces": (self.bounces, 0, 10_000)}  # fmt: skip
-        if self.brdf is not None:
-            counts["--rows"] = (self.rows, 1, self.order**2)
-        if self.lobes is not None:
-            counts["--lobes"] = (self.lobes, 1, MOST_LOBES)
-        if self.threads is not None:
-            counts["--threads"] = (self.threads, 1, 1024)
-        for option, (value, least, most) in counts.items():
-            if not least <= value <= most:
-                raise PrtnetError(option, f"is {value}; it must be from {least} to {most}")
-        if not 0 <= self.albedo <= 1:
-            raise PrtnetError("--albedo", f"is {self.albedo:g}; it must be from 0 to 1")
+        check_within("--order", self.order, 1, MOST_ORDER)
+        check_within("--rays", self.rays, 1, MOST_RAYS)
+        check_within("--bounces", self.bounces, 0, MOST_BOUNCES)
+        check_within("--rows", None if self.brdf is None else self.rows, 1, self.order**2)
+        check_within("--lobes", self.lobes, 1, MOST_LOBES)
+        check_within("--threads", self.threads, 1, MOST_THREADS)
+        check_within("--albedo", self.albedo, 0, 1)
+        check_side("--size", self.size, MOST_TEXELS)
         for option in ("metres", "depth", "thickness"):
             value = getattr(self, option)
             if value is not None and not (0 < value < math.inf):
                 raise PrtnetError(f"--{option}", f"is {value:g}; it must be a length above 0")
-        if self.thickness is not None and self.subsurface is None:
-            raise PrtnetError("--thickness", "needs --subsurface: nothing else lets light through")
-        if max(self.size or (1,)) > LARGEST:
-            raise PrtnetError("--size", f"is too large; give at most {LARGEST}x{LARGEST}")
-        if self.coherent and self.lobes is None:
-            raise PrtnetError("--coherent", "is about lobes; say how many with --lobes")
         if self.out.suffix.lower() != ".safetensors":
             raise PrtnetError(self.out, "is no name of a field; end it in .safetensors")
 
@@ -87,6 +98,56 @@ class BakeOptions:
         """The files that are read."""
         named = [Path(text) for text in (self.source, self.translucency, self.brdf or "")]
         return [path for path in named if path.is_file()]
+
+
+def source_of(options: BakeOptions) -> str:
+    """What kind of source is named, of ``OPTIONS_OF``.
+
+    Raises:
+        PrtnetError: it is none.
+    """
+    from data_gen.grey_image import PICTURES
+    from data_gen.reliefs import PATTERNS, SCATTERED
+    from data_gen.static_mesh import MESHES
+
+    ending = Path(options.source).suffix.lower()
+    if options.source in (MEMBRANE, WRINKLE):
+        return options.source
+    if options.source in PATTERNS:
+        return "pattern that scatters" if options.source in SCATTERED else "pattern"
+    kinds = {".safetensors": "field"} | dict.fromkeys(PICTURES, "picture")
+    kinds |= dict.fromkeys(MESHES, "mesh")
+    if ending in kinds:
+        return kinds[ending]
+    known = nearest_name(options.source, [*PATTERNS, MEMBRANE, WRINKLE])
+    files = ", ".join((*MESHES, *PICTURES, ".safetensors"))
+    what = f"is no mesh, picture or pattern; {known}; files end in {files}"
+    raise PrtnetError(options.source, what)
+
+
+def check_options(options: BakeOptions, named: Mapping[str, str]) -> None:
+    """Refuse options that would do nothing.
+
+    Args:
+        options: all of them.
+        named: those that are given, as ``prtnet.cli_arguments.named_options`` tells.
+
+    Raises:
+        PrtnetError: one does nothing for this source, or without another option; or the source is
+            none.
+    """
+    source = source_of(options)
+    of_sources = set.union(*OPTIONS_OF.values())
+    for name, option in named.items():
+        if name in of_sources - OPTIONS_OF[source]:
+            raise PrtnetError(option, f"does nothing for a {source}; leave it out")
+        needed = NEEDS.get(name)
+        if source == "mesh" and name == "metres":
+            needed = "subsurface"  # light and shadow are the same at any size
+        if needed is not None and getattr(options, needed) is None:
+            raise PrtnetError(option, f"needs --{needed}; add it, or leave this out")
+    if "albedo" in named and options.subsurface is not None:
+        raise PrtnetError(named["albedo"], "is what --subsurface takes the place of; leave it out")
 
 
 def baked(options: BakeOptions, threads: int, report: Report) -> TransferField | LobeField:
@@ -98,7 +159,7 @@ def baked(options: BakeOptions, threads: int, report: Report) -> TransferField |
     from prtnet.lobe_fit import lobe_field
     from prtnet.transfer import TransferField
 
-    if Path(options.source).suffix.lower() != ".safetensors":
+    if source_of(options) != "field":
         field = simulated(options, threads, report)
     elif options.lobes is None:
         raise PrtnetError(options.source, "is baked already; add --lobes to fit lobes to it")
@@ -115,24 +176,15 @@ def simulated(options: BakeOptions, threads: int, report: Report) -> TransferFie
     Raises:
         PrtnetError: the source is none, or cannot be read or simulated.
     """
-    from data_gen.grey_image import PICTURES
-    from data_gen.reliefs import PATTERNS
-    from data_gen.static_mesh import MESHES
-
-    ending = Path(options.source).suffix.lower()
-    if options.source == MEMBRANE:
+    source = source_of(options)
+    if source == MEMBRANE:
         field = membrane(options)
-    elif options.source == WRINKLE:
+    elif source == WRINKLE:
         field = wrinkle(options, threads, report)
-    elif options.source in PATTERNS or ending in PICTURES:
-        field = patch(options, threads, report)
-    elif ending in MESHES:
+    elif source == "mesh":
         field = mesh(options, threads, report)
     else:
-        known = nearest_name(options.source, [*PATTERNS, MEMBRANE, WRINKLE])
-        files = ", ".join((*MESHES, *PICTURES, ".safetensors"))
-        what = f"is no mesh, picture or pattern; {known}; files end in {files}"
-        raise PrtnetError(options.source, what)
+        field = patch(options, threads, report)
     name = Path(options.source).name
     told = {"source": name, **field.metadata}
     if options.brdf is not None:
@@ -201,8 +253,6 @@ def mesh(options: BakeOptions, threads: int, report: Report) -> TransferField:
     from data_gen.bake import bake_mesh
     from data_gen.static_mesh import read_mesh
 
-    if options.thickness is not None:
-        raise PrtnetError("--thickness", "is of a relief; a mesh has an inside of its own")
     found = read_mesh(options.source)
     return bake_mesh(found, config_of(options, threads), options.metres, report)
 
@@ -214,8 +264,6 @@ def membrane(options: BakeOptions) -> TransferField:
     from data_gen.grey_image import read_grey
     from prtnet.membrane import membrane_field
 
-    if options.brdf is not None or options.subsurface is not None:
-        raise PrtnetError(MEMBRANE, "has neither --brdf nor --subsurface; leave them out")
     try:
         columns, rows = options.size or (1, 1)
         share = np.full((rows, columns), float(options.translucency))
@@ -234,8 +282,6 @@ def wrinkle(options: BakeOptions, threads: int, report: Report) -> TransferField
     from data_gen.bake import bake_wrinkle
     from prtnet.wrinkle import Wrinkle
 
-    if options.thickness is not None:
-        raise PrtnetError("--thickness", "is of a relief; a wrinkle has none")
     width = options.metres or 0.1
     columns, rows = options.size or MAP
     try:

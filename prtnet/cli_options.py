@@ -10,6 +10,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from prtnet.errors import PrtnetError
+from prtnet.limits import MOST_COPIES, MOST_FACTORS, MOST_LIGHT_LOBES, MOST_PIXELS, check_side
 from prtnet.storage import Storage
 
 __all__ = [
@@ -28,8 +29,6 @@ __all__ = [
 ]
 
 
-MOST_LOBES, MOST_FACTORS = 11, 64  # what shaders are made for
-MOST_COPIES = 100  # characters
 Look = Literal["prediction", "truth", "visibility", "open", "ambient", "error"]
 RENDER_LEAST = {
     "rays": 1, "threads": 1, "lobes": 0, "order": 1, "factors": 1, "light_turn": -1e6, "dering": 0,
@@ -46,8 +45,9 @@ def at_least(option: str, value: float | None, least: float) -> None:
 
 def fits_a_shader(lobes: int | None, factors: int) -> None:
     """Refuse more of either than shaders are made for."""
-    if (lobes or 0) > MOST_LOBES or factors > MOST_FACTORS:
-        raise PrtnetError("--lobes and --factors", f"are at most {MOST_LOBES}, {MOST_FACTORS}")
+    if (lobes or 0) > MOST_LIGHT_LOBES or factors > MOST_FACTORS:
+        most = f"{MOST_LIGHT_LOBES}, {MOST_FACTORS}"
+        raise PrtnetError("--lobes and --factors", f"are at most {most}")
 
 
 def fraction_of(option: str, text: str | None) -> float | None:
@@ -213,8 +213,7 @@ class RenderOptions:
             )
         if self.compare is not None and (self.show != "prediction" or self.beside is not None):
             raise PrtnetError("--compare", "shows the prediction; leave out --show and --beside")
-        if max(self.size) > 8192:
-            raise PrtnetError("--size", "is too large; give at most 8192x8192")
+        check_side("--size", self.size, MOST_PIXELS)
 
 
 @dataclass(frozen=True)
@@ -248,8 +247,7 @@ class ViewOptions:
             raise PrtnetError("--copies", f"are {self.copies}; at most {MOST_COPIES} are drawn")
         blend_of(self.blend)
         fits_a_shader(self.lobes, self.factors)
-        if max(self.size) > 8192:
-            raise PrtnetError("--size", "is too large; give at most 8192x8192")
+        check_side("--size", self.size, MOST_PIXELS)
 
 
 @dataclass(frozen=True)

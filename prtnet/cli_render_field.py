@@ -6,7 +6,7 @@ Beside ``prtnet.cli``, which it serves, it may import the other packages.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,6 +17,14 @@ from tyro.conf import Positional
 from prtnet.array_file import LOBES, TRANSFER, header_key
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
+from prtnet.limits import (
+    MOST_LOBES,
+    MOST_PIXELS,
+    MOST_REPEAT,
+    MOST_THREADS,
+    check_side,
+    check_within,
+)
 
 if TYPE_CHECKING:
     from data_gen.static_mesh import StaticMesh
@@ -44,10 +52,10 @@ class FieldOptions:
     on: str | None = None  # vase or plane, a mesh or a scene; a mesh's field: the scene baked
     repeat: int = 6  # widths of a patch around a vase, across a plane or the longest side of a mesh
     twist: float = 0.0  # degrees about the vertical from bottom to top
-    clip: str | None = None  # the animation of a scene; its first when not given
+    clip: str | None = None  # the animation of a scene (--on); its first when not given
     time: float | None = None  # seconds; the middle of the clip when not given
     lobes: int | None = None  # fit so many lobes to transfer now; drawn as it is when not given
-    form: Literal["table", "direct"] = "table"  # lobes are looked up in the light's table, or not
+    form: Literal["table", "direct"] = "table"  # lobes: looked up in the light's table, or not
     compare: str | None = None  # truth: trace a mesh as it is posed; sh: transfer; or its file
     light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
     light_turn: float = 0.0  # turn the light about the vertical by so many degrees
@@ -57,25 +65,20 @@ class FieldOptions:
     elevation: float = 12.0  # of the camera: degrees above the horizon
     zoom: float = 1.0  # how many times closer than what shows everything
     exposure: float = 0.0  # stops brighter
-    renderer: Literal["gl", "cpu"] | None = None  # OpenGL or NumPy; OpenGL where there is one
+    renderer: Literal["gl", "cpu"] | None = None  # OpenGL, of lobes, or NumPy; what there is
     threads: int | None = None  # CPU threads of a truth; all cores when not given
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
         for option, least in LEAST.items():
-            value = getattr(self, option)
-            if not least <= value <= MOST[option]:
-                name = f"--{option.replace('_', '-')}"
-                raise PrtnetError(name, f"is {value:g}; it must be {least:g} to {MOST[option]:g}")
-        counts = {"--repeat": (self.repeat, 1000), "--lobes": (self.lobes, 8),
-                  "--threads": (self.threads, 1024)}  # fmt: skip
-        for name, (count, most) in counts.items():
-            if count is not None and not 1 <= count <= most:
-                raise PrtnetError(name, f"is {count}; it must be from 1 to {most}")
+            name = f"--{option.replace('_', '-')}"
+            check_within(name, getattr(self, option), least, MOST[option])
+        check_within("--repeat", self.repeat, 1, MOST_REPEAT)
+        check_within("--lobes", self.lobes, 1, MOST_LOBES)
+        check_within("--threads", self.threads, 1, MOST_THREADS)
+        check_side("--size", self.size, MOST_PIXELS)
         if self.out.suffix.lower() != ".png":
             raise PrtnetError(self.out, "is no name of a PNG picture; end it in .png")
-        if max(self.size) > 8192:
-            raise PrtnetError("--size", "is too large; give at most 8192x8192")
 
     def inputs(self) -> list[Path]:
         """The files that are read."""
@@ -89,12 +92,58 @@ def names_field(argv: Sequence[str]) -> bool:
     return next((key for key in keys if key is not None), None) in (TRANSFER, LOBES)
 
 
-def make_field_picture(options: FieldOptions, threads: int, console: Console) -> dict[str, Any]:
-    """Write the picture; facts about it.
+def check_options(
+    options: FieldOptions, named: Mapping[str, str], field: LobeField | TransferField
+) -> None:
+    """Refuse options that would do nothing.
+
+    Args:
+        options: all of them.
+        named: those that are given, as ``prtnet.cli_arguments.named_options`` tells.
+        field: what is drawn, before lobes are fitted to it.
 
     Raises:
-        PrtnetError: field and mesh do not belong together, there is no such clip, time or light,
-            or the file cannot be written.
+        PrtnetError: one does nothing for this field, or without another option.
+    """
+    from prtnet.lobe_field import LobeField
+    from prtnet.transfer import Patch
+
+    fitted = isinstance(field, LobeField)
+    still = options.on is None or (options.on in BUILT_IN and not Path(options.on).is_file())
+    whys = {}
+    if not isinstance(field.layout, Patch):
+        whys["repeat"] = "is of patches, and this field is a mesh's; leave it out"
+    if still:
+        whys |= dict.fromkeys(("clip", "time"), "is of a scene that moves; name it with --on")
+    if fitted:
+        whys["lobes"] = "are fitted already; leave it out, or name the transfer they were fitted to"
+    elif options.lobes is None:
+        whys["form"] = "is of lobes; add --lobes, or leave it out"
+    for name, why in whys.items():
+        if name in named:
+            raise PrtnetError(named[name], why)
+    if fitted or options.lobes is not None:
+        return
+    if options.renderer == "gl":
+        raise PrtnetError("--renderer", "gl draws lobes; add --lobes, or leave it out")
+    if options.compare == "sh":
+        raise PrtnetError("--compare", "sh is what is drawn already; add --lobes to compare them")
+
+
+def make_field_picture(
+    options: FieldOptions, named: Mapping[str, str], threads: int, console: Console
+) -> dict[str, Any]:
+    """Write the picture; facts about it.
+
+    Args:
+        options: what is wanted.
+        named: those of them that are given; see ``check_options``.
+        threads: of the CPU.
+        console: to talk to.
+
+    Raises:
+        PrtnetError: field and mesh do not belong together, an option does nothing, there is no such
+            clip, time or light, or the file cannot be written.
     """
     from prtnet.lobe_field import LobeField
     from runtime.camera import Camera
@@ -103,6 +152,7 @@ def make_field_picture(options: FieldOptions, threads: int, console: Console) ->
     from runtime.picture import auto_exposure, comparison, develop, save_png
 
     field = read_field(options.field)
+    check_options(options, named, field)
     raw = None if isinstance(field, LobeField) else field
     if raw is not None and options.lobes is not None:
         from prtnet.lobe_fit import lobe_field
@@ -115,7 +165,9 @@ def make_field_picture(options: FieldOptions, threads: int, console: Console) ->
     camera = Camera.framing(canvas.positions, options.size[0] / options.size[1], *angles)
     camera = camera.nearer(options.zoom)
     shot = FieldShot(canvas, light.harmonics(field.order, options.dering), camera, options.size)
-    renderer = options.renderer or usable(console.message)
+    renderer = options.renderer or (
+        usable(console.message) if isinstance(field, LobeField) else "cpu"
+    )
     picture = shot.draw(field, renderer, options.form == "table")
     facts: dict[str, Any] = {"out": options.out, **field.facts(), "size": options.size}
     if options.compare is None:

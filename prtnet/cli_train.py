@@ -10,6 +10,9 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from prtnet.errors import PrtnetError
+from prtnet.limits import MOST_LOBES, check_within
+
 if TYPE_CHECKING:
     from prtnet.dataset import Dataset
     from prtnet.model import VisibilityModel
@@ -17,7 +20,39 @@ if TYPE_CHECKING:
     from training.config import TrainConfig
     from training.monitor import Monitor
 
-__all__ = ["fitting", "summary"]
+__all__ = ["check_lobe_options", "fitting", "summary"]
+
+OF_PRIORS = ("near_spheres", "patches", "near_patches", "prior_order", "samples", "width", "depth",
+             "codes", "steps")  # fmt: skip
+OF_NETWORKS = ("neurons", "networks", "restarts", "iterations")
+
+
+def check_lobe_options(config: TrainConfig, named: Mapping[str, str]) -> None:
+    """Refuse options that do nothing for lobes, or for anything but lobes.
+
+    Args:
+        config: of the fit.
+        named: options that are given, as ``prtnet.cli_arguments.named_options`` tells.
+
+    Raises:
+        PrtnetError: there is one.
+    """
+    if config.kind != "lobes":
+        if "lobes" in named:
+            raise PrtnetError("--lobes", "is of --kind lobes; add that, or leave this out")
+        return
+    check_within("--lobes", config.lobes, 1, MOST_LOBES)
+    regression = config.regression
+    whys = dict.fromkeys(OF_PRIORS, "does nothing for --kind lobes; leave it out")
+    if regression != "neural":
+        whys |= dict.fromkeys(OF_NETWORKS, "needs --regressor neural; add it, or leave this out")
+    if regression != "quadratic":
+        whys["leading"] = "needs --regressor quadratic; add it, or leave this out"
+    if regression == "neural":
+        whys["smoothness"] = "is of --regressor linear and quadratic; leave it out"
+    for name, why in whys.items():
+        if name in named:
+            raise PrtnetError(named[name], why)
 
 
 def fitting(

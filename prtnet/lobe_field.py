@@ -16,6 +16,7 @@ import numpy as np
 from prtnet.array_file import LOBES, read_arrays, write_arrays
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
+from prtnet.limits import check_field_limits
 from prtnet.transfer import (
     Patch,
     Surface,
@@ -23,6 +24,7 @@ from prtnet.transfer import (
     layout_facts,
     layout_from,
     layout_parts,
+    texels_of,
     whole,
 )
 from prtnet.zh import Lobes, LobesApart, bands_apart
@@ -128,13 +130,16 @@ class LobeField:
             low, axes, stored = (
                 arrays[name].astype(np.float32) for name in ("low", "axes", "coefficients")
             )
-            order, first = int(header["order"]), bands_apart(axes.shape[2])
-            if not 1 <= order <= 64 or stored.shape[-1] != max(order - first, 0):
+            _, rows, count, _ = axes.shape
+            order, first = int(header["order"]), bands_apart(count)
+            layout = layout_from(header, arrays)
+            check_field_limits(order, rows, count, texels_of(layout))
+            if stored.shape[-1] != max(order - first, 0):
                 raise ValueError(f"coefficients have shape {stored.shape}")
             coefficients = np.zeros((*stored.shape[:-1], order), dtype=np.float32)
             coefficients[..., first:] = stored
             return cls(
-                low, unit_axes(axes), coefficients, layout_from(header, arrays),
+                low, unit_axes(axes), coefficients, layout,
                 bool(header["coherent"]), arrays.get("view"), dict(header.get("metadata", {})),
             )  # fmt: skip
 

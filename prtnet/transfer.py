@@ -19,6 +19,7 @@ import numpy as np
 from prtnet.array_file import TRANSFER, read_arrays, write_arrays
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
+from prtnet.limits import check_field_limits
 from prtnet.sh import order_of
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "layout_facts",
     "layout_from",
     "layout_parts",
+    "texels_of",
     "whole",
     "wrapped",
 ]
@@ -173,7 +175,9 @@ class TransferField:
         with whole(path, header, FORMAT_VERSION, "transfer field"):
             layout = layout_from(header, arrays)
             told = dict(header.get("metadata", {}))
-            return cls(arrays["transfer"], layout, arrays.get("view"), told)
+            found = cls(arrays["transfer"], layout, arrays.get("view"), told)
+            check_field_limits(found.order, found.rows, None, texels_of(layout))
+            return found
 
 
 @contextlib.contextmanager
@@ -201,6 +205,11 @@ def layout_facts(layout: Patch | Surface) -> dict[str, Any]:
     height, width = layout.heights.shape
     return {"layout": "patch", "texels": [width, height], "metres": list(layout.size),
             "tiles": list(layout.tiles)}  # fmt: skip
+
+
+def texels_of(layout: Patch | Surface) -> tuple[int, ...] | None:
+    """Rows and columns of a patch, None of a mesh."""
+    return layout.heights.shape if isinstance(layout, Patch) else None
 
 
 def layout_parts(layout: Patch | Surface) -> tuple[dict[str, Any], dict[str, Any]]:

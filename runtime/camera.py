@@ -65,18 +65,21 @@ class Camera:
         points = points[np.isfinite(points).all(axis=1)]
         if not len(points):
             points = np.zeros((1, 3))
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle, span = low / 2.0 + high / 2.0, float((high - low).max())
+        points = points - middle  # how far from the origin it is changes nothing
         towards = np.array([math.sin(azimuth), math.tan(elevation), math.cos(azimuth)])
         towards *= math.cos(elevation)
         axes = view_axes(towards, np.array([0.0, 1.0, 0.0]))
         x, y, z = axes @ points.T
         tangent_y = math.tan(fov / 2) / margin
-        slack = 0.5 * max(float(np.ptp(z)), 1e-3 * float(np.abs(points).max()), 1e-6)
-        centre, distance = [0.0, 0.0], z.max() + slack
+        least = 1e-3 * span if span > 0.0 else 1e-6 * max(float(np.abs(middle).max()), 1.0)
+        centre, distance = [0.0, 0.0], z.max() + 0.5 * max(float(np.ptp(z)), least)
         for axis, (p, tangent) in enumerate([(x, tangent_y * aspect), (y, tangent_y)]):
-            high, low = (p + tangent * z).max(), (tangent * z - p).max()
-            centre[axis] = (high - low) / 2
-            distance = max(distance, (high + low) / (2 * tangent))
-        eye = axes.T @ np.array([*centre, distance])
+            right, left = (p + tangent * z).max(), (tangent * z - p).max()
+            centre[axis] = (right - left) / 2
+            distance = max(distance, (right + left) / (2 * tangent))
+        eye = middle + axes.T @ np.array([*centre, distance])
         nearest, farthest = distance - z.max(), distance - z.min()
         return cls(
             eye=(float(eye[0]), float(eye[1]), float(eye[2])),

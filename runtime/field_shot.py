@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -56,12 +58,21 @@ class FieldShot:
         fine = finer(self.size, samples)
         by_table = by_table and isinstance(field, LobeField)
         light = LobeLight(self.light, light_table(self.light) if by_table else None)
-        matrix, eye = self.camera.matrix(self.size[0] / self.size[1]), np.asarray(self.camera.eye)
-        if renderer == "gl" and isinstance(field, LobeField):
-            picture = drawn_by_gl(field, self.canvas, light, eye, matrix, fine)
-        else:
-            picture = drawn_by_numpy(field, self.canvas, light, eye, matrix, fine)
-        return averaged(picture, self.size)
+        canvas, camera = seen_from_origin(self.canvas, self.camera)
+        matrix, eye = camera.matrix(self.size[0] / self.size[1]), np.asarray(camera.eye)
+        by_gl = renderer == "gl" and isinstance(field, LobeField)
+        draw: Any = drawn_by_gl if by_gl else drawn_by_numpy
+        return averaged(draw(field, canvas, light, eye, matrix, fine), self.size)
+
+
+def seen_from_origin(canvas: Canvas, camera: Camera) -> tuple[Canvas, Camera]:
+    """The same picture with the eye at the origin: what float32 holds is best there."""
+    eye = np.asarray(camera.eye)
+    x, y, z = (np.asarray(camera.target) - eye).tolist()
+    return (
+        dataclasses.replace(canvas, positions=canvas.positions - eye),
+        dataclasses.replace(camera, eye=(0.0, 0.0, 0.0), target=(x, y, z)),
+    )
 
 
 def drawn_by_gl(

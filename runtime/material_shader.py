@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from prtnet.glsl import filled, harmonics_glsl
 from prtnet.gpu_tables import GPUTables, glsl
+from prtnet.limits import MOST_LIGHT_LOBES
 from prtnet.reflection import LOWEST
 
 __all__ = ["FRAGMENT_SHADER", "most_lobes", "vertex_shader"]
-
-MOST_LOBES = 11  # of each colour, at least: what holds any light of order 6
 
 VERTEX_SHADER = """#version 330
 const int COEFFICIENTS = $COEFFICIENTS;
@@ -147,4 +146,4 @@ def vertex_shader(order: int, columns: int, tables: GPUTables | None = None) -> 
 
 def most_lobes(order: int) -> int:
     """Of each colour: as many as hold any light of the order, or more."""
-    return max(MOST_LOBES, 2 * order - 1)
+    return max(MOST_LIGHT_LOBES, 2 * order - 1)

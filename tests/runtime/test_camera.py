@@ -59,6 +59,17 @@ def test_framing_is_the_tightest_that_sees_all_poses(points, aspect, azimuth, el
         assert np.minimum(high, -low).max() >= 1 - tolerance
 
 
+@pytest.mark.parametrize("offset", [1e3, -1e5, 1e8])
+def test_framing_goes_along_with_its_subject(offset):
+    """Also where it is seen edge-on: what is thin along the view."""
+    points = np.random.default_rng(1).normal(size=(50, 3)) * [1.0, 1.0, 1e-3]
+    near = Camera.framing(points, 1.0, 0.0, 0.0)
+    far = Camera.framing(points + offset, 1.0, 0.0, 0.0)
+    loose = 1e-15 * abs(offset) * 100
+    np.testing.assert_allclose(np.array(far.eye) - offset, near.eye, atol=loose)
+    np.testing.assert_allclose([far.near, far.far], [near.near, near.far], atol=loose)
+
+
 def test_margin_shrinks_the_subject():
     points = np.random.default_rng(0).normal(size=(50, 3))
     seen = project(Camera.framing(points, 1.5, margin=1.25), points, 1.5)
