@@ -23,46 +23,43 @@ from runtime.all_frequency import representative_starts
 
 __all__ = ["Products", "Runs", "Sums", "vertex_runs"]
 
-FULL = 0.35  # of a column: from here on its zeros cost less than the places of its numbers
+FULL = 0.3  # of a column: from here on its zeros cost less than the places of its numbers
 FEW = 0.3  # of the light's coefficients: up to here columns are picked out
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
-    """Representatives of one segment, R = C · N · m rows of sums.
+class FullColumns:
+    """Columns of one segment's representatives that are mostly full, R = C · N · m rows.
 
     Attributes:
         rows: where theirs are among those of all segments.
-        full: places of columns that are mostly full, ascending, (F,).
-        numbers: those columns, (F, R).
-        sparse: the others, a CSR array (R, (n/2)²), empty at ``full``.
+        places: of the columns, ascending, (F,).
+        numbers: (F, R).
     """
 
     rows: slice
-    full: IntArray
+    places: IntArray
     numbers: torch.Tensor
-    sparse: Any
 
 
-def columns_of(one: Segment, rows: int, start: int) -> Columns:
-    """A segment's representatives, times what 1 in a weight stands for.
+def divided(one: Segment, rows: int, start: int) -> tuple[FullColumns, Any]:
+    """A segment's representatives, times what 1 in a weight stands for: full columns, and the rest.
 
     Args:
         one: the segment.
         rows: m.
-        start: of its rows of sums among those of all segments.
+        start: of its rows among those of all segments.
     """
     matrix = sparse_matrix(one.representatives, rows)
     scale = np.repeat(one.scale.ravel() * np.float32(one.step), rows)
     matrix.data *= np.repeat(scale, np.diff(matrix.indptr))
     filled = np.bincount(matrix.indices, minlength=matrix.shape[1])
-    full = np.flatnonzero(filled > FULL * max(matrix.shape[0], 1))
-    numbers = torch.from_numpy(np.ascontiguousarray(matrix[:, full].toarray().T))
-    rest = np.ones(matrix.shape[1], dtype=bool)
-    rest[full] = False
-    matrix.data *= rest[matrix.indices]
+    full = filled > FULL * max(matrix.shape[0], 1)
+    places = np.flatnonzero(full)
+    numbers = torch.from_numpy(np.ascontiguousarray(matrix[:, places].toarray().T))
+    matrix.data[full[matrix.indices]] = 0.0
     matrix.eliminate_zeros()
-    return Columns(slice(start, start + matrix.shape[0]), full, numbers, matrix)
+    return FullColumns(slice(start, start + matrix.shape[0]), places, numbers), matrix
 
 
 class Products:
@@ -70,29 +67,22 @@ class Products:
 
     Args:
         field: whose representatives.
+
+    Attributes:
+        full: columns of each segment that are mostly full.
+        sparse: all others, (rows of all segments, 24 (n/2)²), a CSR array.
     """
 
     def __init__(self, field: AllFrequencyField) -> None:
         self.rows = field.rows
-        self.starts = representative_starts(field) * field.rows
-        self.segments = [
-            columns_of(one, field.rows, int(start))
-            for one, start in zip(field.segments, self.starts[:-1], strict=True)
+        starts = (representative_starts(field)[:-1] * field.rows).tolist()
+        parts = [
+            divided(one, field.rows, start)
+            for one, start in zip(field.segments, starts, strict=True)
         ]
-        width = (field.size // 2) ** 2
-        matrices = [one.sparse for one in self.segments]
-        ends = np.cumsum([0, *(one.nnz for one in matrices)])
-        pointers = [one.indptr[:-1] + end for one, end in zip(matrices, ends[:-1], strict=True)]
-        places = [one.indices + number * width for number, one in enumerate(matrices)]
-        self._bags = tuple(
-            torch.from_numpy(np.concatenate(parts).astype(kind))
-            for parts, kind in (
-                (places, np.int32),
-                ([*pointers, ends[-1:]], np.int32),
-                ([one.data for one in matrices], np.float32),
-            )
-        )
-        self._by_place: list[Any] | None = None
+        self.full = [full for full, _ in parts]
+        self.sparse: Any = scipy.sparse.block_diag([rest for _, rest in parts], format="csr")
+        self._by_place: Any = None
 
     def __call__(self, light: FloatArray) -> FloatArray:
         """(representatives, m, 3) float32, as :func:`runtime.all_frequency.transformed`.
@@ -105,22 +95,25 @@ class Products:
         few = np.count_nonzero(lit) <= FEW * lit.size
         given = np.ascontiguousarray(light, dtype=np.float32)
         total = self._picked(given, lit) if few else self._all(given)
-        for one, shining, known in zip(self.segments, given, lit, strict=True):
-            if not len(one.full):
+        for one, shining, known in zip(self.full, given, lit, strict=True):
+            if not len(one.places):
                 continue
-            numbers, coefficients = one.numbers, torch.from_numpy(shining[one.full])
+            numbers, coefficients = one.numbers, torch.from_numpy(shining[one.places])
             if few:
-                kept = torch.from_numpy(np.flatnonzero(known[one.full]))
+                kept = torch.from_numpy(np.flatnonzero(known[one.places]))
                 numbers, coefficients = numbers[kept], coefficients[kept]
             # Three rows times a wide matrix: far faster than a tall one times three columns.
             total[one.rows] += (coefficients.T @ numbers).T
         return np.asarray(total.numpy().reshape(-1, self.rows, 3))
 
     def _all(self, light: FloatArray) -> torch.Tensor:
-        """What sparse columns make of all of a light, (rows of sums, 3)."""
-        places, starts, values = self._bags
-        if len(starts) == 1:
+        """What sparse columns make of all of a light, (rows, 3)."""
+        if not self.sparse.shape[0]:
             return torch.zeros((0, 3))
+        places, starts, values = (
+            torch.from_numpy(part)
+            for part in (self.sparse.indices, self.sparse.indptr, self.sparse.data)
+        )
         table = torch.from_numpy(light.reshape(-1, 3))
         return embedding_bag(
             places, table, starts, mode="sum", per_sample_weights=values, include_last_offset=True
@@ -129,15 +122,9 @@ class Products:
     def _picked(self, light: FloatArray, lit: Any) -> torch.Tensor:
         """The same of the lit columns only."""
         if self._by_place is None:
-            self._by_place = [scipy.sparse.csc_array(one.sparse) for one in self.segments]
-        total = np.zeros((int(self.starts[-1]), 3), dtype=np.float32)
-        for one, matrix, shining, known in zip(
-            self.segments, self._by_place, light, lit, strict=True
-        ):
-            kept = np.flatnonzero(known)
-            if len(kept) and matrix.nnz:
-                total[one.rows] = matrix[:, kept] @ shining[kept]
-        return torch.from_numpy(total)
+            self._by_place = self.sparse.tocsc()
+        kept = np.flatnonzero(lit)
+        return torch.from_numpy(self._by_place[:, kept] @ light.reshape(-1, 3)[kept])
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,9 +57,12 @@ def test_products_are_those_of_the_reference(rows, size, terms, full, share, mon
 
 def test_columns_are_divided_by_how_full_they_are(monkeypatch):
     monkeypatch.setattr(all_frequency_products, "FULL", 0.2)
-    found = Products(wavelets(3, seed=3)).segments
-    assert any(0 < len(one.full) < one.sparse.shape[1] for one in found)
-    assert all(not np.isin(one.sparse.indices, one.full).any() for one in found)
+    found = Products(wavelets(3, seed=3))
+    assert any(len(one.places) for one in found.full)
+    assert found.sparse.nnz
+    width = found.sparse.shape[1] // 24
+    for number, one in enumerate(found.full):
+        assert not np.isin(found.sparse.indices, number * width + one.places).any()
 
 
 def test_a_light_may_change_in_any_order():
@@ -78,10 +81,10 @@ def test_only_lit_columns_are_read(monkeypatch):
     light = np.zeros_like(segment_coefficients(random_light(field.size)))
     light[7, [0, 3, 9]] = 1.0
     products = Products(field)
-    for number, one in enumerate(products.segments):
-        dark = ~light[number].any(axis=1)
-        one.numbers[np.flatnonzero(dark[one.full])] = np.nan
-        one.sparse.data[dark[one.sparse.indices]] = np.nan
+    dark = ~light.any(axis=2)
+    for known, one in zip(dark, products.full, strict=True):
+        one.numbers[np.flatnonzero(known[one.places])] = np.nan
+    products.sparse.data[dark.ravel()[products.sparse.indices]] = np.nan
     close(products(light), transformed(field, light))
 
 
