@@ -69,15 +69,16 @@ class Products:
         field: whose representatives.
 
     Attributes:
+        count: of representatives.
         full: columns of each segment that are mostly full.
         sparse: all others, (rows of all segments, 24 (n/2)²), a CSR array.
     """
 
     def __init__(self, field: AllFrequencyField) -> None:
         self.rows = field.rows
-        starts = (representative_starts(field)[:-1] * field.rows).tolist()
+        *starts, self.count = representative_starts(field).tolist()
         parts = [
-            divided(one, field.rows, start)
+            divided(one, field.rows, start * field.rows)
             for one, start in zip(field.segments, starts, strict=True)
         ]
         self.full = [full for full, _ in parts]
