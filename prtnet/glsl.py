@@ -13,7 +13,16 @@ import numpy as np
 from prtnet.arrays import FloatArray
 from prtnet.sh import polynomial
 
-__all__ = ["FORMATS", "WIDTH", "filled", "harmonics_glsl", "texel_format", "texture", "vectors"]
+__all__ = [
+    "CONCENTRIC",
+    "FORMATS",
+    "WIDTH",
+    "filled",
+    "harmonics_glsl",
+    "texel_format",
+    "texture",
+    "vectors",
+]
 
 WIDTH = 2048  # texels in a row of a texture; every WebGL 2 device has at least this
 
@@ -25,6 +34,22 @@ FORMATS = {
     "uint32": "RGBA32UI",
 }
 """Of OpenGL, by the type of the numbers; those of two or one a texel begin with RG or R."""
+
+CONCENTRIC = """// The concentric map of the square [0, 1]^2 at a direction above the horizon.
+vec2 on_square(vec3 d) {
+    const float PI = 3.14159265358979;
+    float radius = sqrt(clamp(1.0 - d.z, 0.0, 1.0));
+    float angle = abs(d.x) + abs(d.y) > 0.0 ? atan(d.y, d.x) : 0.0;
+    if (angle < -0.25 * PI) angle += 2.0 * PI;
+    float quarter = floor((angle + 0.25 * PI) / (0.5 * PI));
+    float off = (angle - quarter * 0.5 * PI) * (4.0 / PI) * radius;
+    int side = int(quarter) % 4;
+    vec2 place = side == 0 ? vec2(radius, off) : side == 1 ? vec2(-off, radius)
+               : side == 2 ? vec2(-radius, -off) : vec2(off, -radius);
+    return 0.5 * place + 0.5;
+}
+"""
+"""``prtnet.hemisphere.places``, as texture coordinates."""
 
 
 def texel_format(array: Any) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
-from prtnet.glsl import WIDTH, filled, harmonics_glsl
+from prtnet.glsl import CONCENTRIC, WIDTH, filled, harmonics_glsl
 from prtnet.lobe_field import LobeField
 from prtnet.reflection import LOWEST
 from prtnet.zh import bands_apart
@@ -83,19 +83,7 @@ vec3 row_light(int row, mat3 frame) {
     return sum;
 }
 
-// The concentric map of the square [0, 1]^2 at a direction above the horizon.
-vec2 on_square(vec3 d) {
-    float radius = sqrt(clamp(1.0 - d.z, 0.0, 1.0));
-    float angle = abs(d.x) + abs(d.y) > 0.0 ? atan(d.y, d.x) : 0.0;
-    if (angle < -0.25 * $PI) angle += 2.0 * $PI;
-    float quarter = floor((angle + 0.25 * $PI) / (0.5 * $PI));
-    float off = (angle - quarter * 0.5 * $PI) * (4.0 / $PI) * radius;
-    int side = int(quarter) % 4;
-    vec2 place = side == 0 ? vec2(radius, off) : side == 1 ? vec2(-off, radius)
-               : side == 2 ? vec2(-radius, -off) : vec2(off, -radius);
-    return 0.5 * place + 0.5;
-}
-
+$CONCENTRIC
 // local: towards the eye, in the frame of the relief's normal.
 vec3 shade(mat3 frame, vec3 local) {
 #ifdef GLOSSY
@@ -229,7 +217,7 @@ def words_of(field: LobeField, by_table: bool, version: str) -> dict[str, object
         "HARMONICS": "" if by_table else harmonics_glsl(field.order),
         "TURN": f"{0.5 / math.pi:.9e}",
         "STEPS": f"{(TABLE[1] - 1) / math.pi:.9e}",
-        "PI": f"{math.pi:.9e}",
+        "CONCENTRIC": CONCENTRIC,
         "LOWEST": f"{LOWEST:e}",
         "COLUMNS": columns_of(field),
     }

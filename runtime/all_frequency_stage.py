@@ -1,0 +1,190 @@
+"""All-frequency transfer on an OpenGL context: the object stays, a light and an eye are taken anew.
+
+When the light changes products are made on the CPU and summed at vertices; when only the eye moves,
+nothing but view factors is looked up again.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Literal
+
+import moderngl
+import numpy as np
+
+from prtnet.all_frequency import AllFrequencyField
+from prtnet.arrays import FloatArray
+from prtnet.errors import PrtnetError
+from runtime.all_frequency_products import Products, Sums, vertex_runs
+from runtime.all_frequency_shader import (
+    columns_of,
+    draw_shaders,
+    product_texels,
+    run_textures,
+    sum_shaders,
+)
+
+__all__ = ["AllFrequencyStage", "draws_in_software"]
+
+SOFTWARE = ("llvmpipe", "softpipe", "swiftshader")
+
+
+def draws_in_software(context: moderngl.Context) -> bool:
+    """Whether this OpenGL runs on the CPU."""
+    name = str(context.info["GL_RENDERER"]).lower()
+    return any(one in name for one in SOFTWARE)
+
+
+class AllFrequencyStage:
+    """One field under one light.
+
+    Args:
+        context: that everything lives in; it must be current.
+        field: what is drawn.
+        summed: where products are summed at vertices; on the GPU unless OpenGL runs on the CPU,
+            whose own threads are several times as fast.
+
+    Attributes:
+        milliseconds: of the last light on the CPU, by name.
+
+    Raises:
+        PrtnetError: it does not fit the textures of this OpenGL.
+    """
+
+    def __init__(
+        self,
+        context: moderngl.Context,
+        field: AllFrequencyField,
+        summed: Literal["gpu", "cpu"] | None = None,
+    ) -> None:
+        self.context, self.field = context, field
+        self.milliseconds: dict[str, float] = {}
+        self.products = Products(field)
+        on_cpu = summed == "cpu" or (summed is None and draws_in_software(context))
+        self._sums = Sums(field) if on_cpu else None
+        self._held: dict[str, Any] = {}
+        self._made: list[Any] = []
+        self._columns = columns_of(field.rows)
+        try:
+            self._upload()
+            if not on_cpu:
+                self._upload_runs()
+        except BaseException:
+            self.release()
+            raise
+
+    def release(self) -> None:
+        """Give everything back but the context."""
+        for held in (*reversed(self._made), *self._held.values()):
+            held.release()
+        self._made, self._held = [], {}
+
+    @property
+    def resources(self) -> list[Any]:
+        """Buffers and textures that are held."""
+        return list(self._held.values())
+
+    def _upload(self) -> None:
+        """The mesh, its view factors, and room for sums."""
+        field, context, rows = self.field, self.context, self.field.rows
+        height = max(1, -(-len(field) // self._columns))
+        # OpenGL need not draw into textures of three channels.
+        channels = 4 if self._sums is None else 3
+        self._staged = np.zeros((height, self._columns * rows, channels), dtype=np.float32)
+        self._texture("sums", self._staged)
+        cells = round(field.view.shape[1] ** 0.5)
+        factors = np.ones((rows, cells, cells, 4), dtype=np.float16)
+        factors[..., :3] = field.view.reshape(rows, cells, cells, 3)
+        self._check(cells, cells, rows)
+        layers: Any = context.texture_array((cells, cells, rows), 4, factors.tobytes(), dtype="f2")
+        self._held["view_factors"] = layers
+        layers.filter, layers.repeat_x, layers.repeat_y = (moderngl.LINEAR,) * 2, False, False
+        surface = field.surface
+        parts = {"position": surface.positions, "tangent": surface.tangents,
+                 "normal": surface.normals, "faces": surface.faces}  # fmt: skip
+        for name, part in parts.items():
+            self._held[name] = context.buffer(reserve=max(1, part.nbytes))
+            self._held[name].write(np.ascontiguousarray(part))
+        self.program: Any = self._keep(context.program(*draw_shaders(rows)))
+        self.program["rows"] = rows
+        attributes = [(self._held[name], "3f", name) for name in parts if name != "faces"]
+        self._mesh = self._keep(context.vertex_array(self.program, attributes, self._held["faces"]))
+
+    def _upload_runs(self) -> None:
+        """What sums products on the GPU."""
+        runs = vertex_runs(self.field)
+        empty = np.zeros((self.products.count, self.field.rows, 3), dtype=np.float32)
+        for name, texels in {**run_textures(runs), "products": product_texels(empty)}.items():
+            self._texture(name, texels)
+        self._summing: Any = self._keep(self.context.program(*sum_shaders(self.field.rows)))
+        self._summing["vertices"] = len(self.field)
+        self._summing["texels"] = -(-runs.weights.shape[1] // 4)
+        self._triangle = self._keep(self.context.vertex_array(self._summing, []))
+        self._frame = self._keep(self.context.framebuffer([self._held["sums"]]))
+
+    def _keep(self, made: Any) -> Any:
+        """Something to be given back in the end."""
+        self._made.append(made)
+        return made
+
+    def _texture(self, name: str, texels: Any) -> None:
+        """A texture (height, width, channels) to be fetched texel by texel."""
+        self._check(*texels.shape[1::-1])
+        kind = {"float32": "f4", "int32": "i4", "int16": "i2"}[texels.dtype.name]
+        data = np.ascontiguousarray(texels).tobytes()
+        made = self.context.texture(texels.shape[1::-1], texels.shape[2], data, dtype=kind)
+        made.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        self._held[name] = made
+
+    def _check(self, width: int, height: int, layers: int = 1) -> None:
+        """Refuse what no texture of this OpenGL holds."""
+        info = self.context.info
+        side, most = int(info["GL_MAX_TEXTURE_SIZE"]), int(info["GL_MAX_ARRAY_TEXTURE_LAYERS"])
+        if max(width, height) > side or layers > most:
+            what = f"needs {layers} textures of {width}x{height}, more than OpenGL holds here"
+            raise PrtnetError("--renderer gl", f"{what}; use --renderer cpu")
+
+    def light(self, coefficients: FloatArray) -> None:
+        """Take a light: Haar coefficients of its segments, (24, (n/2)², 3)."""
+        watch = [time.perf_counter()]
+        products = self.products(coefficients)
+        watch.append(time.perf_counter())
+        if self._sums is None:
+            self._held["products"].write(product_texels(products))
+            self._frame.use()
+            self.context.enable_only(moderngl.NOTHING)
+            self._bind(self._summing)
+            self._triangle.render(moderngl.TRIANGLES, vertices=3)
+        else:
+            sums = self._sums(products)
+            watch.append(time.perf_counter())
+            self._staged.reshape(-1, *sums.shape[1:])[: len(sums)] = sums
+            self._held["sums"].write(self._staged)
+        watch.append(time.perf_counter())
+        names = ("products", "sums", "upload") if self._sums else ("products", "upload")
+        spent = zip(names, np.diff(watch).tolist(), strict=True)
+        self.milliseconds = {name: 1e3 * seconds for name, seconds in spent}
+
+    def draw(self, frame: Any, matrix: FloatArray, eye: FloatArray) -> None:
+        """Draw into a framebuffer with depth, which is not cleared.
+
+        Args:
+            frame: to draw into.
+            matrix: world to clip space, (4, 4).
+            eye: where from, (3,).
+        """
+        frame.use()
+        self.program["view_projection"].write(matrix.T.astype("f4").tobytes())
+        self.program["eye"] = tuple(float(one) for one in eye)
+        self._bind(self.program)
+        self.context.enable_only(moderngl.DEPTH_TEST)
+        self._mesh.render(moderngl.TRIANGLES)
+
+    def _bind(self, program: Any) -> None:
+        """The textures that a program reads."""
+        read = [
+            name for name in self._held if isinstance(program.get(name, None), moderngl.Uniform)
+        ]
+        for unit, name in enumerate(read):
+            self._held[name].use(unit)
+            program[name] = unit
