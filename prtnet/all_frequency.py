@@ -163,6 +163,11 @@ def check_sparse(one: SparseColumns) -> None:
         raise ValueError("counts do not fit the values")
     if total and int(one.counts.max()) > 256:
         raise ValueError("a column of a block holds more than 256 numbers")
+    first = np.cumsum(one.counts, dtype=np.int64).ravel() - one.counts.ravel()
+    inside = np.ones(total, dtype=bool)
+    inside[first[one.counts.ravel() > 0]] = False
+    if (np.diff(one.rows.astype(np.int16)) < 1)[inside[1:]].any():
+        raise ValueError("rows of a column do not ascend")
     if rows % 256 and total:  # the last block is short
         short = int(one.counts[-1].sum(dtype=np.int64))
         if short and int(one.rows[total - short :].max()) >= rows % 256:

@@ -17,14 +17,24 @@ import safetensors.numpy
 from prtnet.errors import PrtnetError
 from prtnet.files import writing
 
-__all__ = ["LOBES", "MODEL", "TRANSFER", "header_key", "read_arrays", "write_arrays"]
+__all__ = [
+    "ALL_FREQUENCY",
+    "LOBES",
+    "MODEL",
+    "TRANSFER",
+    "header_key",
+    "read_arrays",
+    "write_arrays",
+]
 
 # The metadata key of each kind of file: whose header it is.
 MODEL, TRANSFER, LOBES = "prtnet", "prtnet-transfer", "prtnet-lobes"
+ALL_FREQUENCY = "prtnet-all-frequency"
 MADE_BY = {
     MODEL: ("model", "train one first"),
     TRANSFER: ("transfer field", "bake one first"),
     LOBES: ("field of lobes", "bake one with --lobes first"),
+    ALL_FREQUENCY: ("field of all-frequency transfer", "bake one with bake-all-frequency first"),
 }
 
 
