@@ -106,8 +106,8 @@ def sizes(field: AllFrequencyField) -> dict[str, int]:
 
     ``raw`` is the transfer of all vertices as float32; ``clustered`` what the representatives that
     are used and the weights would take as float32; then what is stored: ``representatives``,
-    ``weights``, ``clusters`` (which vertices, their scales) and ``view``, in all ``total``. The mesh
-    itself is in none of them.
+    ``weights``, ``clusters`` (which vertices, their scales) and ``view``, in all ``total``. The
+    mesh itself is in none of them.
     """
     columns = field.rows * (field.size // 2) ** 2
     used = sum(int(np.count_nonzero(one.scale)) for one in field.segments)

@@ -34,7 +34,7 @@ MADE_BY = {
     MODEL: ("model", "train one first"),
     TRANSFER: ("transfer field", "bake one first"),
     LOBES: ("field of lobes", "bake one with --lobes first"),
-    ALL_FREQUENCY: ("field of all-frequency transfer", "bake one with prtnet bake-all-frequency first"),
+    ALL_FREQUENCY: ("field of all-frequency transfer", "bake one with bake-all-frequency first"),
 }
 
 

@@ -76,14 +76,24 @@ def test_sizes_are_what_is_in_the_file(tmp_path: Path) -> None:
     assert path.stat().st_size == 8 + header + mesh + found["total"]
 
 
-def spoiled(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], object]) -> str:
+@dataclasses.dataclass
+class Parts:
+    header: dict[str, Any]
+    arrays: dict[str, Any]
+
+
+Change = Callable[[Parts], object]
+
+
+def spoiled(path: Path, change: Change) -> str:
     """What is said of a file whose header and arrays were changed."""
     save_fields(path, [random_field(3, reached=1.0)])
     with safetensors.safe_open(path, framework="numpy") as file:
         header = json.loads(file.metadata()[ALL_FREQUENCY])
-    arrays = safetensors.numpy.load_file(path)
-    change(header, arrays)
-    path.write_bytes(safetensors.numpy.save(arrays, {ALL_FREQUENCY: json.dumps(header)}))
+    parts = Parts(header, safetensors.numpy.load_file(path))
+    change(parts)
+    told = {ALL_FREQUENCY: json.dumps(parts.header)}
+    path.write_bytes(safetensors.numpy.save(parts.arrays, told))
     with pytest.raises(PrtnetError) as caught:
         load_fields(path)
     assert "\n" not in str(caught.value)
@@ -91,38 +101,42 @@ def spoiled(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], objec
     return caught.value.message
 
 
-def halve(name: str) -> Callable[[dict[str, Any], dict[str, Any]], object]:
-    return lambda _, arrays: arrays.update({name: arrays[name][: len(arrays[name]) // 2].copy()})
+def halve(name: str) -> Change:
+    def change(parts: Parts) -> None:
+        parts.arrays[name] = parts.arrays[name][: len(parts.arrays[name]) // 2].copy()
+
+    return change
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda h, a: h.update(format_version=9), "has format version 9"),
-        (lambda h, a: h.update(size=6), "faces of 6 texels"),
-        (lambda h, a: h.update(size="wide"), "wide"),
-        (lambda h, a: h.update(fields=[]), "holds none"),
-        (lambda h, a: h.update(fields=3), "int"),
-        (lambda h, a: h["fields"][0].update(steps=[1.0]), "1 steps, not 24"),
-        (lambda h, a: h["fields"][0]["steps"].__setitem__(4, -1.0), "segment 4: step is -1"),
-        (lambda h, a: a.pop("0.view"), "view"),
-        (lambda h, a: a.pop("0.23.values"), "values"),
-        (lambda h, a: a.pop("0.positions"), "positions"),
+        (lambda f: f.header.update(format_version=9), "has format version 9"),
+        (lambda f: f.header.update(size=6), "faces of 6 texels"),
+        (lambda f: f.header.update(size="wide"), "wide"),
+        (lambda f: f.header.update(fields=[]), "holds none"),
+        (lambda f: f.header.update(fields=3), "int"),
+        (lambda f: f.header["fields"][0].update(steps=[1.0]), "1 steps, not 24"),
+        (lambda f: f.header["fields"][0]["steps"].__setitem__(4, -1.0), "segment 4: step is -1"),
+        (lambda f: f.arrays.pop("0.view"), "view"),
+        (lambda f: f.arrays.pop("0.23.values"), "values"),
+        (lambda f: f.arrays.pop("0.positions"), "positions"),
         (halve("0.5.weights"), "segment 5: weights do not fit"),
         (halve("0.5.rows"), "segment 5: counts do not fit the values"),
         (halve("0.5.counts"), "segment 5: counts do not fit the blocks"),
         (halve("0.5.starts"), "segment 5: starts"),
-        (lambda h, a: a["0.5.vertices"].fill(7), "segment 5: vertices come twice"),
-        (lambda h, a: a["0.5.rows"].fill(3), "segment 5: rows of a column do not ascend"),
-        (lambda h, a: a["0.5.rows"].__iadd__(100), "segment 5"),
-        (lambda h, a: a["0.5.scale"].fill(np.nan), "segment 5: scale"),
-        (lambda h, a: a.update({"0.5.scale": a["0.5.scale"].astype(np.float64)}), "float64"),
-        (lambda h, a: a["0.faces"].fill(999), "faces name vertices that are not there"),
+        (lambda f: f.arrays["0.5.vertices"].fill(7), "segment 5: vertices come twice"),
+        (lambda f: f.arrays["0.5.rows"].fill(3), "segment 5: rows of a column do not ascend"),
+        (lambda f: f.arrays["0.5.rows"].__iadd__(100), "segment 5"),
+        (lambda f: f.arrays["0.5.scale"].fill(np.nan), "segment 5: scale"),
+        (
+            lambda f: f.arrays.update({"0.5.scale": f.arrays["0.5.scale"].astype(np.float64)}),
+            "float64",
+        ),
+        (lambda f: f.arrays["0.faces"].fill(999), "faces name vertices that are not there"),
     ],
 )
-def test_spoiled_files_are_told_in_one_line(
-    change: Callable[[dict[str, Any], dict[str, Any]], object], said: str, tmp_path: Path
-) -> None:
+def test_spoiled_files_are_told_in_one_line(change: Change, said: str, tmp_path: Path) -> None:
     assert said in spoiled(tmp_path / "a.safetensors", change)
 
 
@@ -130,7 +144,7 @@ def test_files_of_another_kind(tmp_path: Path) -> None:
     path = tmp_path / "a.safetensors"
     matte = TransferField(np.ones((42, 1, 4), dtype=np.float32), ball())
     matte.save(path)
-    with pytest.raises(PrtnetError, match="is a prtnet transfer field, not a field of all-frequency transfer"):
+    with pytest.raises(PrtnetError, match="is a prtnet transfer field, not a field of all-freq"):
         load_fields(path)
 
 
