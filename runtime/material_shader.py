@@ -52,7 +52,8 @@ vec3 radiance(bool behind, vec3 tangent, vec3 normal) {
             int lobe = c * $LOBES + k;
             harmonics(axis[lobe] * frame, y);
             for (int l = 0; l < ORDER; ++l) {
-                float g = l < bands ? zonal[lobe * ORDER + l] : 0.0;
+                if (l >= bands) break;
+                float g = zonal[lobe * ORDER + l];
                 for (int i = l * l; i < (l + 1) * (l + 1); ++i)
                     light[c * COEFFICIENTS + i] += g * y[i];
             }
@@ -60,8 +61,8 @@ vec3 radiance(bool behind, vec3 tangent, vec3 normal) {
     }
     vec4 v[TEXELS];
     visibility(behind, v);
-    for (int i = 0; i < 4 * TEXELS; ++i)
-        if (i >= bands * bands) v[i / 4][i % 4] = 0.0;
+    if (bands < ORDER)
+        for (int i = bands * bands; i < 4 * TEXELS; ++i) v[i / 4][i % 4] = 0.0;
     vec3 view = normalize(eye - position) * frame;
     view = normalize(vec3(view.xy, max(view.z, $LOWEST)));
     harmonics(view, y);
@@ -69,6 +70,7 @@ vec3 radiance(bool behind, vec3 tangent, vec3 normal) {
     for (int b = 0; b < factors; ++b) {
         vec3 lit = vec3(0.0);
         for (int i = 0; i < COEFFICIENTS; ++i) {
+            if (i >= bands * bands) break;
             float product = 0.0;
             for (int k = 0; k < TEXELS; ++k)
                 product += dot(texelFetch(matrices, ivec2(k, b * COEFFICIENTS + i), 0), v[k]);
