@@ -23,7 +23,7 @@ from runtime.looks import cut_visibility, heat_colours, open_visibility, white_l
 from runtime.picture import auto_exposure, develop, laid_over
 from runtime.posed_surface import coloured_surface, posed_subject, seeing
 from runtime.reflected import Subject
-from runtime.vertex_sphere import inset_of
+from runtime.vertex_sphere import inset_of, receiver_at
 from runtime.view import UNLIT, Mode
 
 __all__ = ["Posed", "Shot"]
@@ -158,11 +158,12 @@ class Shot:
             vertex: of the render mesh; its front.
             traced: whether to show what is ray-traced beside the prediction.
         """
-        shown = [("predicted", self.posed.predicted)]
-        shown += [("traced", self.posed.visibility)] if traced else []
+        posed, front = self.posed, (vertex, False)
+        receiver = receiver_at(posed.actor, front)
+        shown = [("predicted", posed.predicted[receiver])]
+        shown += [("traced", posed.visibility[receiver])] if traced else []
         cut = [(caption, cut_visibility(one, self.order)) for caption, one in shown]
-        posed = self.posed
-        spheres = inset_of(posed.actor, posed.subject, (vertex, False), cut, self.camera, self.size)
+        spheres = inset_of(posed.subject, front, cut, self.camera, self.size)
         for inset, place in spheres:
             picture = laid_over(picture, inset, place)
         return picture

@@ -42,7 +42,7 @@ from runtime.posed_surface import coloured_surface, posed_subject, seeing, sides
 from runtime.reflected import Subject
 from runtime.screen import Screen
 from runtime.stage import Stage
-from runtime.vertex_sphere import inset_of
+from runtime.vertex_sphere import inset_of, receiver_at
 from runtime.view import UNLIT, Mode, View, framing
 
 __all__ = ["Show"]
@@ -314,11 +314,11 @@ class Show:
         camera, truth = self.camera(view), self._truth.known(view.moments)
         key = (view.vertex, view.moments, view.order, camera, size, truth is not None)
         if self._inset is None or self._inset[0] != key:
-            shown = [("predicted", self.predicted(view))]
-            shown += [] if truth is None else [("traced", truth)]
+            receiver = receiver_at(self.actor, view.vertex)
+            shown = [("predicted", self._predicted_at(view, receiver))]
+            shown += [] if truth is None else [("traced", truth[receiver])]
             cut = [(caption, cut_visibility(one, view.order)) for caption, one in shown]
-            subject = self.subject(view)
-            self._inset = key, inset_of(self.actor, subject, view.vertex, cut, camera, size)
+            self._inset = key, inset_of(self.subject(view), view.vertex, cut, camera, size)
         return self._inset[1]
 
     def metres(self, view: View, height: int) -> float:
@@ -350,6 +350,13 @@ class Show:
             self._predicted = view.moments, self.cast.predict(pose)[0]
             self._count(model=1e3 * (clock.perf_counter() - started))
         return self._predicted[1]
+
+    def _predicted_at(self, view: View, receiver: int) -> FloatArray:
+        """That of one receiver, (n²,), from the GPU where it is rebuilt there."""
+        if self.rebuilt is None:
+            return self.predicted(view)[receiver]
+        (latents, occluders), *_ = self._for_shader(self.pose(view))
+        return self.rebuilt.visibility_of(receiver, latents, occluders)
 
     def truth(self, view: View, wait: bool = False) -> FloatArray | None:
         """The true visibility (V, n²) of the pose, traced in the background; None until then.

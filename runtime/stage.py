@@ -22,6 +22,7 @@ from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
 from runtime.material_shader import FRAGMENT_SHADER, most_lobes, vertex_shader
 from runtime.reflected import Side, Subject
+from runtime.vertex_probe import VertexProbe
 
 __all__ = ["Stage"]
 
@@ -73,6 +74,8 @@ class Stage:
         self._shape: tuple[int, int, bool] | None = None
         self._faces: IntArray | None = None
         self._material: ReflectionOperator | None = None
+        self._tables = tables
+        self._probe: VertexProbe | None = None
         self._latents: Any = None
         self._occluders: Any = None
         try:
@@ -92,11 +95,11 @@ class Stage:
 
     def release(self) -> None:
         """Give everything back but the context."""
-        for held in [self._mesh, *self._held.values(), self.program]:
+        for held in [self._mesh, self._probe, *self._held.values(), self.program]:
             if held is not None:
                 held.release()
         self._held.clear()
-        self._mesh = None
+        self._mesh = self._probe = None
 
     @property
     def resources(self) -> list[Any]:
@@ -165,13 +168,29 @@ class Stage:
         started = time.perf_counter()
         for name, own in zip(SIDES, receivers, strict=False):
             self._held[f"{name}_receivers"].write(np.ascontiguousarray(own, dtype="i4"))
+        self._pose(latents, occluders)
+        self.milliseconds["upload"] += 1e3 * (time.perf_counter() - started)
+
+    def _pose(self, latents: FloatArray, occluders: FloatArray | None) -> None:
+        """Put what changes with the pose on the GPU."""
         self._latents.ravel()[: len(latents)] = latents
         self._held["prtnet_latents"].write(self._latents)
         if self._occluders is not None:
             assert occluders is not None
             self._occluders.reshape(-1, 4)[: len(occluders)] = occluders
             self._held["prtnet_prior_pose"].write(self._occluders)
-        self.milliseconds["upload"] += 1e3 * (time.perf_counter() - started)
+
+    def visibility_of(
+        self, receiver: int, latents: FloatArray, occluders: FloatArray | None = None
+    ) -> FloatArray:
+        """What one receiver sees (n²,), as the GPU rebuilds it; see ``show_latents``."""
+        assert self._tables is not None
+        if self._probe is None:
+            units = {name: TEXTURES.index(name) for name in MODEL}
+            self._probe = VertexProbe(self.context, self._tables, units)
+        self._pose(latents, occluders)
+        self._bind()
+        return self._probe(receiver)
 
     def _allocate(self, subject: Subject, shape: tuple[int, int, bool], rows: int) -> None:
         """Buffers and textures of a new mesh."""
@@ -297,13 +316,17 @@ class Stage:
         self.context.enable_only(moderngl.DEPTH_TEST)
         self._set("view_projection", np.asarray(matrix).T)
         self._set("eye", np.asarray(eye))
-        for unit, name in enumerate(TEXTURES):
-            texture = self._held.get(name) or self._held.get("front_visibility")
-            if texture is not None:
-                texture.use(unit)
+        self._bind()
         timer = self._timers[self._drawn % 2] if self._timers else contextlib.nullcontext()
         with timer:
             self._mesh.render(moderngl.TRIANGLES)
         self._drawn += 1
         if self._timers and self._drawn > 1:  # the one before: this one is still being drawn
             self.milliseconds["draw"] = self._timers[self._drawn % 2].elapsed / 1e6
+
+    def _bind(self) -> None:
+        """Every texture to its unit."""
+        for unit, name in enumerate(TEXTURES):
+            texture = self._held.get(name) or self._held.get("front_visibility")
+            if texture is not None:
+                texture.use(unit)

@@ -17,7 +17,7 @@ from runtime.picture import INK, PAPER, QUIET, font, to_bytes
 from runtime.posed_surface import sides
 from runtime.reflected import Subject
 
-__all__ = ["inset_of", "marker", "sphere_picture", "vertex_inset"]
+__all__ = ["inset_of", "marker", "receiver_at", "sphere_picture", "vertex_inset"]
 
 RING = 13  # pixels across, around the vertex
 MARGIN = 8  # pixels between the spheres and the edge
@@ -96,7 +96,6 @@ def vertex_inset(
 
 
 def inset_of(
-    actor: ModelledScene,
     subject: Subject,
     vertex: tuple[int, bool],
     visibilities: Sequence[tuple[str, FloatArray]],
@@ -106,10 +105,9 @@ def inset_of(
     """Pictures to lay over one of a character: a ring around a vertex, and its spheres.
 
     Args:
-        actor: the model and its scene.
-        subject: the same in its pose; visibility is not looked at.
+        subject: the character in its pose; visibility is not looked at.
         vertex: of the render mesh, and whether its back is meant.
-        visibilities: a caption and visibility of all receivers, (V, n²), for each sphere.
+        visibilities: a caption and the visibility of its receiver, (n²,), for each sphere.
         camera: of the picture.
         size: of the picture, in pixels.
 
@@ -117,17 +115,15 @@ def inset_of(
         (H, W, 4) uint8 pictures and where they go, pixels from the left and from the top.
     """
     number, back = vertex
-    side, receivers = (subject.front, subject.back)[back], sides(actor)[back]
+    side = (subject.front, subject.back)[back]
     assert side is not None
-    assert receivers is not None
-    receiver = int(receivers[number])
     error = ""
     if len(visibilities) == 2:
-        one, other = (every[receiver][None] for _, every in visibilities)
+        one, other = (each[None] for _, each in visibilities)
         error = f", error {100.0 * float(vertex_error(one, other)[0]):.1f} %"
     inset = vertex_inset(
         f"vertex {number}{' (back)' if back else ''}{error}",
-        [(caption, every[receiver]) for caption, every in visibilities],
+        visibilities,
         side.frames[number],
         camera,
         min(max(size[1] // 5, 64), 320),
@@ -136,6 +132,13 @@ def inset_of(
     x, y, _ = projected(subject.positions[number : number + 1], matrix, size)[0]
     corner = (size[0] - inset.shape[1] - MARGIN, size[1] - inset.shape[0] - MARGIN)
     return [(marker(RING), (round(x - RING / 2), round(y - RING / 2))), (inset, corner)]
+
+
+def receiver_at(actor: ModelledScene, vertex: tuple[int, bool]) -> int:
+    """The receiver of a vertex of the render mesh, or of its back."""
+    receivers = sides(actor)[vertex[1]]
+    assert receivers is not None
+    return int(receivers[vertex[0]])
 
 
 def marker(diameter: int) -> FloatArray:

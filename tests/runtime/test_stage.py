@@ -190,6 +190,36 @@ def test_a_prior_is_added_in_the_shader(kind, body, two_sided):
     assert np.abs(pictures[0] - pictures[1]).max() <= 1e-4 * np.abs(pictures[0]).max()
 
 
+@pytest.mark.parametrize("what", ["coefficients", "lobes", "skin", "sheet"])
+def test_what_one_receiver_sees_is_read_back(what):
+    """As the model has it, whatever pose or characters were drawn before."""
+    poses = random_poses(2, 5)
+    if what == "skin":
+        prior = random_prior("maps", receivers=700, surroundings=random_skin(receivers=700))
+        model = beside_prior(random_model(receivers=700), prior)
+    elif what == "sheet":
+        model, found = sheet_with_prior("network")
+        poses = found[-2:]
+    else:
+        model = random_model(receivers=700, parts=2, lobes=2 if what == "lobes" else 0)
+    tables, context = gpu_tables(model), create_context()
+    expected = model(poses)
+    with context:
+        context.simple_framebuffer((1, 1)).use()
+        stage = Stage(context, model.order, tables)
+        for pose in (0, 1, 0):
+            given = [latents_of(model, tables, poses[pose])]
+            given += [] if tables.prior is None else [tables.prior.seen.posed(poses[pose])]
+            for receiver in (0, 5, len(expected[0]) - 1):
+                seen = stage.visibility_of(receiver, *given)
+                assert seen.shape == (model.order**2,)
+                np.testing.assert_allclose(
+                    seen, expected[pose, receiver], atol=1e-4 * np.abs(expected).max()
+                )
+        stage.release()
+    context.release()
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_bands_of_rebuilt_visibility_are_cut(order):
     model, pose = random_model(receivers=700, clusters=7, parts=2), random_poses(1, 5)

@@ -9,7 +9,7 @@ from runtime.camera import Camera
 from runtime.looks import open_visibility
 from runtime.pick import projected
 from runtime.posed_surface import posed_subject, sides
-from runtime.vertex_sphere import BELOW, inset_of, sphere_picture, vertex_inset
+from runtime.vertex_sphere import BELOW, inset_of, receiver_at, sphere_picture, vertex_inset
 from tests.runtime.test_posed_surface import modelled
 
 FRONT = Camera((0.0, 0.0, 5.0), (0.0, 0.0, 0.0))
@@ -71,10 +71,11 @@ def test_the_vertex_has_its_own_visibility_frame_and_ring(back):
     visibility = rng.normal(0.3, 0.3, (len(actor.receivers), actor.model.order**2))
     vertex, size = 17, (300, 200)
     camera = Camera.framing(subject.positions, 1.5)
-    (ring, place), (inset, corner) = inset_of(
-        actor, subject, (vertex, back), [("a", visibility)], camera, size
-    )
     receiver = sides(actor)[back][vertex]
+    assert receiver_at(actor, (vertex, back)) == receiver
+    (ring, place), (inset, corner) = inset_of(
+        subject, (vertex, back), [("a", visibility[receiver])], camera, size
+    )
     frame = actor.frames(pose)[0, receiver]
     title = f"vertex {vertex}{' (back)' if back else ''}"
     expected = vertex_inset(title, [("a", visibility[receiver])], frame, camera, 64)

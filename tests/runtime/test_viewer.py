@@ -377,7 +377,7 @@ def test_poses_are_blended_and_both_clips_go_on(viewer):
     assert np.array_equal(show.pose(view), show.actor.poses("bend", np.array([view.time])))
 
 
-def test_the_vertex_under_the_mouse_shows_what_it_sees(viewer):
+def test_the_vertex_under_the_mouse_shows_what_it_sees(viewer, monkeypatch):
     """As laid over the picture in NumPy; with the traced visibility beside it once it is known."""
     show, view, size = viewer.show, viewer.view, (900, 300)
     viewer.window._window.set_size(*size)  # the panel covers all of a small one
@@ -392,6 +392,20 @@ def test_the_vertex_under_the_mouse_shows_what_it_sees(viewer):
         viewer.step(0.0)
     assert view.vertex is not None
     assert np.hypot(*(places[view.vertex[0], :2] - places[nearest, :2])) < 12
+    assert show._predicted is None  # of no other vertex
+    inset = []
+    with monkeypatch.context() as patched:
+        patched.setattr("runtime.show.inset_of", lambda *given: inset.append(given))
+        show._inset = None
+        show.insets(view, size)
+    assert view.vertex == inset[0][1]
+    (_, visibility), *others = inset[0][2]
+    assert not others
+    receiver = show.actor.receivers.of_vertex[view.vertex[0]]
+    np.testing.assert_allclose(
+        visibility, show.cast.predict(show.pose(view))[0, receiver], atol=1e-5
+    )
+    show._inset = None
     shown = show.insets(view, size)
     expected = plain
     for inset, place in shown:
