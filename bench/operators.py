@@ -4,7 +4,8 @@ python bench/operators.py [--write]
 
 The operator's radiance is compared with sums over a million even directions: of the same light,
 visibility and factors, which it must agree with to the error of those sums; and of the BRDF itself
-in place of the factors, which shows what eight factors and their bands leave out.
+in place of the factors, which shows what eight factors and their bands leave out. A second table
+takes that apart: by how much the view grazes, and what the number of factors costs without bands.
 """
 
 from __future__ import annotations
@@ -93,6 +94,39 @@ def sums(
     return by_factors * each, exact * each
 
 
+def apart(name: str, brdf: BRDF) -> list[str]:
+    """What of the difference from a BRDF is due to what, largest over places, per cent.
+
+    Light times visibility has 2n − 1 bands, so of f · cos no more are told: what factors of light
+    leave of those is the price of their number, the rest that of the view's bands and cells.
+    """
+    lights, visibility, views = signals()
+    s = sh.fibonacci_sphere(DIRECTIONS // 10)
+    rows = sh.evaluate(s, 2 * ORDER - 1)
+    each = 4.0 * math.pi / len(s)
+    low = rows[:, : ORDER**2]
+    arriving = np.stack([
+        rows.T @ ((low @ seen)[:, None] * (low @ light)) * each
+        for light, seen in zip(lights, visibility, strict=True)
+    ])  # fmt: skip
+    told = np.stack([rows.T @ (brdf(s, v) * np.maximum(s[:, 2:], 0.0)) * each for v in views])
+    exact = (arriving * told).sum(axis=1)  # [P, 3]
+    table, found = tabulate(brdf, samples=SAMPLES), {}
+    for count in (FACTORS, 2 * FACTORS):
+        light, view = harmonic_factors(table, count, 2 * ORDER - 1, ORDER)
+        kept = np.einsum("bi,bj,pjc->pic", light, light, told)
+        ours = np.einsum("bi,bmc,pm->pic", light, view, sh.evaluate(views, ORDER))
+        by_kept, by_ours = ((arriving * one).sum(axis=1) for one in (kept, ours))
+        found[count] = [
+            100.0 * np.abs(other).max(axis=1) / np.abs(exact).max()
+            for other in (by_ours - exact, by_kept - exact, by_ours - by_kept)
+        ]
+    whole, factors, bands = found[FACTORS]
+    more = found[2 * FACTORS][0]
+    cells = whole[:-1].max(), whole[-1], factors[-1], bands.max(), more[-1]
+    return [name, *(f"{cell:.1f} %" for cell in cells)]
+
+
 def row(name: str, brdf: BRDF) -> list[str]:
     """Seconds, bytes and differences of one BRDF."""
     begun = time.perf_counter()
@@ -107,12 +141,17 @@ def row(name: str, brdf: BRDF) -> list[str]:
     return [name, f"{seconds:.1f}", f"{size:,}", f"{off[0]:.1e}", f"{100 * off[1]:.1f} %"]
 
 
-def main() -> None:
+def all_of_them() -> dict[str, BRDF]:
     """Every BRDF that has a name, the presets, and one that was measured."""
     every: dict[str, BRDF] = {name: kind() for name, kind in BRDFS.items()}
     every |= {name: brdf for name, brdf in PRESETS.items() if name != "matte"}
     every["measured (a MERL table of ggx)"] = measured(GGX())
-    rows = []
+    return every
+
+
+def main() -> None:
+    """What operators cost, how far they are off, and why."""
+    every, rows = all_of_them(), []
     for name, brdf in every.items():
         rows.append(row(name, brdf))
         print(rows[-1], flush=True)
@@ -122,6 +161,22 @@ def main() -> None:
         f"differences over {PLACES} places, relative to the largest radiance."
     )
     publish("operators", columns, rows, note=note)
+    publish_apart(every)
+
+
+def publish_apart(every: dict[str, BRDF]) -> None:
+    """Differences from BRDFs by their causes."""
+    rows = []
+    for name, brdf in every.items():
+        if not isinstance(brdf, Lambert):
+            rows.append(apart(name, brdf))
+            print(rows[-1], flush=True)
+    tilts = [f"{tilt:.0f}°" for tilt in np.degrees(np.arccos(signals()[2][-2:, 2]))]
+    columns = (
+        "BRDF", f"views to {tilts[0]}", f"at {tilts[1]}", "there, of the factors",
+        "of the view's bands", f"there, {2 * FACTORS} factors",
+    )  # fmt: skip
+    publish("operators apart", columns, rows, note="As *from the BRDF*, by what it is due to.")
 
 
 if __name__ == "__main__":
