@@ -95,6 +95,7 @@ class GLRenderer:
         self._context = create_context()
         self._programs: dict[int, Any] = {}
         self._stages: dict[int, Stage] = {}
+        self._closed = False
 
     def __enter__(self) -> Self:
         return self
@@ -108,7 +109,10 @@ class GLRenderer:
         self.close()
 
     def close(self) -> None:
-        """Release the context and all that lives in it."""
+        """Release the context and all that lives in it; once is enough."""
+        if self._closed:
+            return
+        self._closed = True
         with self._context:
             for held in (*self._programs.values(), *self._stages.values()):
                 held.release()
