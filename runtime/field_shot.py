@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,7 @@ from prtnet.lobe_field import LobeField
 from prtnet.transfer import TransferField
 from runtime.camera import Camera
 from runtime.draw import RendererName, averaged, finer
-from runtime.lobe_picture import drawn_by_numpy
+from runtime.lobe_picture import strip_rows, strips_by_numpy
 from runtime.lobe_shading import LobeLight, light_table
 
 __all__ = ["FieldShot"]
@@ -61,8 +62,12 @@ class FieldShot:
         canvas, camera = seen_from_origin(self.canvas, self.camera)
         matrix, eye = camera.matrix(self.size[0] / self.size[1]), np.asarray(camera.eye)
         by_gl = renderer == "gl" and isinstance(field, LobeField)
-        draw: Any = drawn_by_gl if by_gl else drawn_by_numpy
-        return averaged(draw(field, canvas, light, eye, matrix, fine), self.size)
+        draw: Any = strips_by_gl if by_gl else strips_by_numpy
+        scale = fine[1] // self.size[1]
+        strips = draw(field, canvas, light, eye, matrix, fine, strip_rows(fine, scale))
+        return np.concatenate(
+            [averaged(strip, (self.size[0], len(strip) // scale)) for strip in strips]
+        )
 
 
 def seen_from_origin(canvas: Canvas, camera: Camera) -> tuple[Canvas, Camera]:
@@ -75,15 +80,16 @@ def seen_from_origin(canvas: Canvas, camera: Camera) -> tuple[Canvas, Camera]:
     )
 
 
-def drawn_by_gl(
+def strips_by_gl(
     field: LobeField,
     canvas: Canvas,
     light: LobeLight,
     eye: FloatArray,
     matrix: FloatArray,
     size: tuple[int, int],
-) -> FloatArray:
-    """As ``drawn_by_numpy``, by a context of its own."""
+    step: int,
+) -> Iterator[FloatArray]:
+    """As ``strips_by_numpy``, by a context of its own, all of them in one framebuffer."""
     from runtime.gl import check_size, create_context, framed, pixels_of
     from runtime.lobe_stage import LobeStage
 
@@ -92,10 +98,15 @@ def drawn_by_gl(
         made.callback(context.release)
         made.enter_context(context)
         check_size(context, size)
+        step = min(step, size[1])
         stage = LobeStage(context, field, light.table is not None)
         made.callback(stage.release)
         stage.light(light)
         stage.show(canvas)
-        frame = framed(context, size, made)
-        stage.draw(frame, matrix, eye)
-        return pixels_of(frame, size)
+        frame = framed(context, (size[0], step), made)
+        for top in range(0, size[1], step):
+            frame.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
+            # The window that the whole picture has, of which the framebuffer is a strip.
+            frame.viewport = (0, top + step - size[1], *size)
+            stage.draw(frame, matrix, eye)
+            yield pixels_of(frame, (size[0], step))[: size[1] - top]

@@ -1,9 +1,12 @@
 """A field on a posed mesh: lobes at its vertices, or a patch laid on it as a texture.
 
-In NumPy: shades vertices or pixels with the reference of ``runtime.lobe_shading``.
+In NumPy: shades vertices or pixels with the reference of ``runtime.lobe_shading``. A picture is
+drawn strip by strip and shaded block by block, so that memory does not grow with it.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -17,9 +20,11 @@ from prtnet.zh import Lobes, LobesApart
 from runtime.lobe_shading import LobeLight, rows_radiance, seen_in, view_factors
 from runtime.rasteriser import rasterise
 
-__all__ = ["drawn_by_numpy", "sampled"]
+__all__ = ["drawn_by_numpy", "sampled", "strip_rows", "strips_by_numpy"]
 
 LEAST = 1e-6  # length of an interpolated axis
+STRIP = 1 << 19  # pixels of a picture at a time
+BLOCK = 1 << 14  # of those that are shaded
 
 
 def drawn_by_numpy(
@@ -43,20 +48,46 @@ def drawn_by_numpy(
     Returns:
         (H, W, 4) float32, top row first. The back of a patch bulges as its front does.
     """
+    step = strip_rows(size)
+    strips = strips_by_numpy(field, canvas, light, eye, matrix, size, step)
+    return np.concatenate(list(strips))
+
+
+def strip_rows(size: tuple[int, int], scale: int = 1) -> int:
+    """Rows of a strip of a picture (W, H): a multiple of ``scale``, and at least that."""
+    return max(1, STRIP // (size[0] * scale)) * scale
+
+
+def strips_by_numpy(
+    field: LobeField | TransferField,
+    canvas: Canvas,
+    light: LobeLight,
+    eye: FloatArray,
+    matrix: FloatArray,
+    size: tuple[int, int],
+    step: int,
+) -> Iterator[FloatArray]:
+    """The same picture, ``step`` rows at a time from the top."""
+    ends = [(top, min(top + step, size[1])) for top in range(0, size[1], step)]
     if canvas.places is None:
         colours = vertex_radiance(field, canvas, light, eye)
-        return rasterise(canvas.positions, canvas.faces, colours, matrix, size)
+        for rows in ends:
+            yield rasterise(canvas.positions, canvas.faces, colours, matrix, size, rows=rows)
+        return
     parts = [canvas.positions, canvas.tangents, canvas.normals, canvas.places]
     front, back = (
         np.concatenate([*parts, np.full((len(canvas.positions), 1), side)], axis=1)
         for side in (1.0, -1.0)
     )
-    seen = rasterise(canvas.positions, canvas.faces, front, matrix, size, back)
-    result = np.zeros((*seen.shape[:2], 4), dtype=np.float32)
-    drawn = seen[..., -1] > 0
-    result[drawn, :3] = pixel_radiance(field, seen[drawn], light, eye)
-    result[drawn, 3] = 1.0
-    return result
+    for rows in ends:
+        seen = rasterise(canvas.positions, canvas.faces, front, matrix, size, back, rows)
+        result = np.zeros((*seen.shape[:2], 4), dtype=np.float32)
+        line, column = np.nonzero(seen[..., -1] > 0)
+        for start in range(0, len(line), BLOCK):
+            block = line[start : start + BLOCK], column[start : start + BLOCK]
+            result[(*block, slice(3))] = pixel_radiance(field, seen[block], light, eye)
+        result[line, column, 3] = 1.0
+        yield result
 
 
 def vertex_radiance(

@@ -51,10 +51,14 @@ class Triangles:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What is drawn into: flat buffers of ``width · height`` pixels, top row first."""
+    """What is drawn into: flat buffers of ``width · height`` pixels, top row first.
+
+    Of a larger picture it is the rows from ``top`` on.
+    """
 
     width: int
     height: int
+    top: int
     depth: FloatArray  # [H·W]
     rgba: FloatArray  # [H·W, C + 1]
 
@@ -66,6 +70,7 @@ def rasterise(
     matrix: FloatArray,
     size: tuple[int, int],
     back_radiance: FloatArray | None = None,
+    rows: tuple[int, int] | None = None,
 ) -> FloatArray:
     """Draw a mesh with a colour at each vertex, both sides, nearest surface in front.
 
@@ -76,15 +81,18 @@ def rasterise(
         matrix: world to clip space, (4, 4), as ``Camera.matrix``.
         size: width and height in pixels, each at most ``GUARD``.
         back_radiance: colour (V, C) of the back of each vertex; None for the same as the front.
+        rows: the first row to draw and the one after the last, of all H; None for all. What is
+            drawn is bit for bit what the whole picture has there.
 
     Returns:
-        (H, W, C + 1) float32, top row first: colour, 0 where nothing is, and coverage, 0 or 1.
+        (rows, W, C + 1) float32, top row first: colour, 0 where nothing is, and coverage, 0 or 1.
     """
     width, height = size
-    count = width * height
+    top, end = (0, height) if rows is None else rows
+    count = width * (end - top)
     channels = radiance.shape[1]
     rgba = np.zeros((count, channels + 1), dtype=np.float32)
-    target = Target(width, height, np.full(count, np.inf), rgba)
+    target = Target(width, end - top, top, np.full(count, np.inf), rgba)
     points = np.concatenate([positions, np.ones((len(positions), 1))], axis=1, dtype=np.float64)
     sides = [radiance, radiance if back_radiance is None else back_radiance]
     with np.errstate(invalid="ignore", over="ignore"):  # vertices at infinity are left out below
@@ -94,7 +102,7 @@ def rasterise(
         corners = vertices[faces[start : start + FACE_BLOCK]]
         triangles = project(clip(corners, width, height), width, height)
         shade(triangles, nearest(triangles, target), target)
-    return rgba.reshape(height, width, channels + 1)
+    return rgba.reshape(end - top, width, channels + 1)
 
 
 def clip(corners: FloatArray, width: int, height: int) -> FloatArray:
@@ -192,8 +200,9 @@ def nearest(triangles: Triangles, target: Target) -> IntArray:
     # OpenGL only asks for one owner, Mesa's framebuffer objects choose this one.
     owns = (a > 0) | ((a == 0) & (b < 0))
     inside = c + half * (a + b) - np.where(owns, 0.0, 1.0)
-    first = np.ceil((triangles.y.min(axis=1) - half) / SUBPIXEL).clip(0, target.height)
-    last = np.floor((triangles.y.max(axis=1) - half) / SUBPIXEL).clip(-1, target.height - 1)
+    top, end = target.top, target.top + target.height
+    first = np.ceil((triangles.y.min(axis=1) - half) / SUBPIXEL).clip(top, end)
+    last = np.floor((triangles.y.max(axis=1) - half) / SUBPIXEL).clip(top - 1, end - 1)
     rows = np.maximum(last - first + 1, 0).astype(np.int64)
     for block in blocks(rows):
         row, owner = ranges(first[block].astype(np.int64), rows[block])
@@ -205,7 +214,7 @@ def nearest(triangles: Triangles, target: Target) -> IntArray:
             column, line = ranges(left[part], width[part])
             line = line + part.start
             z = depth[line] + depth_x[owner[line]] * (SUBPIXEL * column)
-            depth_test(row[line] * target.width + column, z, owner[line], target, seen)
+            depth_test((row[line] - top) * target.width + column, z, owner[line], target, seen)
     return seen
 
 
@@ -241,7 +250,8 @@ def shade(triangles: Triangles, seen: IntArray, target: Target) -> None:
         pixel = changed[start : start + BLOCK]
         owner = seen[pixel]
         a, b, c = edges(triangles.x[owner], triangles.y[owner])
-        x, y = (SUBPIXEL * (k + 0.5) for k in (pixel % target.width, pixel // target.width))
+        row = pixel // target.width + target.top
+        x, y = (SUBPIXEL * (k + 0.5) for k in (pixel % target.width, row))
         weight = (a * x[:, None] + b * y[:, None] + c) * triangles.inverse_w[owner]
         weight /= weight.sum(axis=1, keepdims=True)
         target.rgba[pixel, :-1] = np.einsum("nk,nkc->nc", weight, triangles.colour[owner])

@@ -77,6 +77,21 @@ def test_crossing_surfaces_cut_each_other_where_they_meet():
     assert (drawn[:, 10:, 0] == 1).all()
 
 
+@pytest.mark.parametrize("step", [1, 7, 40])
+def test_strips_are_the_picture(step):
+    """Bit for bit, also where triangles cross, share edges and leave the picture."""
+    rng = np.random.default_rng(4)
+    size = (50, 40)
+    points = pixels(rng.uniform(-20, 70, (60, 2)), size)
+    points[:, 2] = rng.uniform(-0.9, 0.9, 60)
+    faces, colours, back = rng.integers(0, 60, (90, 3)), *rng.random((2, 60, 5))
+    given = points, faces, colours, np.eye(4), size, back
+    whole = rasterise(*given)
+    strips = [rasterise(*given, (top, min(top + step, 40))) for top in range(0, 40, step)]
+    np.testing.assert_array_equal(np.concatenate(strips), whole)
+    assert len(np.unique(whole[..., 0])) > 500
+
+
 @pytest.mark.parametrize("block", [1, 1000])
 def test_of_equally_deep_surfaces_the_first_drawn_stays(monkeypatch, block):
     monkeypatch.setattr(rasteriser, "FACE_BLOCK", block)
