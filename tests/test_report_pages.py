@@ -180,8 +180,8 @@ def test_held_out_clips_are_told_apart_from_training(work: Path) -> None:
     assert held_told["dataset"]["clips"] == ["later & <b>"]
     assert "holds out no clip" not in held
     assert "later &amp; &lt;b&gt;" in held
-    assert len(seen_told["models"]) == 6
-    assert len(held_told["models"]) == 12 + 6 + 3
+    assert len(seen_told["models"]) == 8
+    assert len(held_told["models"]) == 16 + 6 + 3
 
 
 def test_models_in_fewer_bits_and_searched_ones_are_on_the_page(work: Path) -> None:
