@@ -244,8 +244,7 @@ def evaluate(argv: Sequence[str]) -> None:
     inputs = input_file(options.model), input_file(options.data, folder=True)
     check_output(options.dump, *inputs)
 
-    from prtnet.cli_evaluate import dataset_truth, scene_truth
-    from prtnet.console import in_per_cent
+    from prtnet.cli_evaluate import dataset_truth, scene_truth, summary
     from prtnet.evaluation import evaluate as measure
     from prtnet.model import VisibilityModel
     from runtime.onnx_model import OnnxModel
@@ -262,7 +261,7 @@ def evaluate(argv: Sequence[str]) -> None:
         results = measure(model, predict, truth.counted(report), truth.nearest)
     results["ms_per_pose"] = predict.milliseconds(truth.pose)
     results["model_bytes"] = options.model.stat().st_size
-    session.finish(results, in_per_cent(results))
+    session.finish(results, summary(results))
 
 
 def export(argv: Sequence[str]) -> None:

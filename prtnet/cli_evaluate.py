@@ -5,9 +5,9 @@ Beside ``prtnet.cli``, which it serves, it may import the other packages: a scen
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from prtnet.errors import PrtnetError, nearest_name
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from prtnet.model import VisibilityModel
     from runtime.onnx_model import OnnxModel
 
-__all__ = ["Truth", "dataset_truth", "scene_truth"]
+__all__ = ["Truth", "dataset_truth", "scene_truth", "summary"]
+
+WORST = 5  # poses that people are shown
 
 
 @dataclass(frozen=True)
@@ -110,3 +112,23 @@ def chosen(options: EvaluateOptions, known: Sequence[str]) -> Sequence[str]:
         if name not in known:
             raise PrtnetError(options.data, f"has no clip '{name}'; {nearest_name(name, known)}")
     return list(dict.fromkeys(options.clips)) or known
+
+
+def summary(results: Mapping[str, Any]) -> dict[str, Any]:
+    """What people are shown: errors, and the worst poses with how far they are from training."""
+    from prtnet.console import in_per_cent
+
+    held_out = [pose for pose in results["poses"] if results["clips"][pose["clip"]]["held_out"]]
+    poses = sorted(held_out or results["poses"], key=lambda pose: -float(pose["rms"]))
+    return in_per_cent(results) | {"worst_poses": dict(map(told, poses[:WORST]))}
+
+
+def told(pose: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
+    """A pose by clip and time, and its figures; a dash where one is not known."""
+
+    def number(value: float | None) -> str:
+        return "–" if value is None else f"{value:.3f}"
+
+    name = pose["clip"] if pose["time"] is None else f"{pose['clip']} at {pose['time']:.2f} s"
+    distances = {key: number(pose[key]) for key in ("distance", "nearest_distance")}
+    return name, {"rms": f"{100 * pose['rms']:.2f} %", **distances}

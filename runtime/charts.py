@@ -20,6 +20,7 @@ WIDTH, HEIGHT = 480, 360
 LEFT, RIGHT, TOP, BOTTOM = 62, 20, 14, 54  # margins around the plot
 SERIES = 8  # colours and markers, then the same colours with other markers
 MOST_TICKS = 7
+TEXT_HEIGHT = 18
 LOG_STEPS = (
     (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8),
     (1, 1.5, 2, 3, 5, 7),
@@ -120,7 +121,7 @@ def scatter(
     numbers = [x.low, x.high, y.low, y.high, *(r.y for r in references), *np.ravel(every)]
     if not np.isfinite(numbers).all():
         raise ValueError("a chart has no place for what is not finite")
-    parts = [*axes(x, y), *(reference_line(line, y) for line in references)]
+    parts = [*axes(x, y), *reference_lines(references, y)]
     if front:
         parts.append(steps(front, x, y))
     for index, each in enumerate(series):
@@ -173,13 +174,20 @@ def axes(x: Axis, y: Axis) -> list[str]:
     return parts
 
 
-def reference_line(reference: Reference, y: Axis) -> str:
-    """A dashed line across the plot, its name above its right end, or below at the top."""
-    height = HEIGHT - TOP - BOTTOM
-    row = TOP + height * (1.0 - y.place(reference.y))
-    right = WIDTH - RIGHT
-    word = text(right - 3, row - 5 if row > TOP + 18 else row + 16, reference.name, "end")
-    return line(LEFT, row, right, row, "reference") + word
+def reference_lines(references: Sequence[Reference], y: Axis) -> list[str]:
+    """Dashed lines across the plot, each with its name above its right end.
+
+    The name is below where the plot ends above, or where the name of a line close by is.
+    """
+    height, right = HEIGHT - TOP - BOTTOM, WIDTH - RIGHT
+    parts, taken = [], -math.inf
+    for reference in sorted(references, key=lambda reference: -reference.y):
+        row = TOP + height * (1.0 - y.place(reference.y))
+        above = row > TOP + TEXT_HEIGHT and row - 5 >= taken + TEXT_HEIGHT
+        taken = row - 5 if above else max(row + 16, taken + TEXT_HEIGHT)
+        parts.append(line(LEFT, row, right, row, "reference"))
+        parts.append(text(right - 3, taken, reference.name, "end"))
+    return parts
 
 
 def steps(front: Sequence[tuple[float, float]], x: Axis, y: Axis) -> str:

@@ -21,6 +21,7 @@ SEARCH = (
     "--max-error finds them, among kinds that fit in seconds; the first has the seconds of fitting "
     "all that they are chosen from. "
 )
+DISTANCES = ("outside the range, half diagonals", "to the nearest pose, spacings")
 NO_DISTANCE = 1e-3  # what training poses themselves have, by rounding
 
 
@@ -166,6 +167,12 @@ def summary(report: Report) -> str:
                   count(facts["judged_poses"]), str(facts["order"]), count(facts["rays"]),
                   megabytes(facts["visibility_bytes"])]],
             ),
+            paragraph(
+                "Receivers are where visibility is traced and predicted: every vertex once, or "
+                "twice where both sides of the surface count. It is stored as order² numbers a "
+                "receiver, spherical harmonics; rays are those traced for each. The dataset is "
+                "what all of that takes, raw, for every pose."
+            ),
         ]
     )  # fmt: skip
 
@@ -204,8 +211,8 @@ def cost_section(report: Report) -> str:
         paragraph(
             "Down and to the left is better. A point is a model, a line joins the sizes of one "
             "family; the grey steps join the models that no other beats in both error and cost: "
-            "choose one of those. Dashed lines are what knowing no model gives. The right-hand "
-            "chart also has the data themselves, which err by nothing but grow with every pose."
+            "choose one of those. Dashed lines are what knowing no model gives. The chart of "
+            "megabytes also has the data themselves, which err by nothing but grow with every pose."
         ),
         f'<div class="pair">{"".join(charts)}</div>',
         legend([*families, *(each.name for each in stored)]),
@@ -252,7 +259,10 @@ def model_section(report: Report) -> str:
     return section(
         "Every model",
         paragraph(
-            "The floor is the error that would be left if the regressor were perfect: what the "
+            "The error is of all poses and vertices together; next to it what 99 of 100 vertices "
+            "stay below, each over all poses"
+            + (", and the error on poses that the fit saw" if unseen else "")
+            + ". The floor is the error that would be left if the regressor were perfect: what the "
             "kept components cannot express; variance kept says the same as a share of the "
             "deviation from the mean. Inputs and latents are numbers a cluster. Fit is the final "
             "fit alone; training in all has clusters and components besides, and for the first of "
@@ -326,11 +336,12 @@ def worst_section(report: Report) -> str:
     return section(
         "The worst poses",
         paragraph(
-            f"Where {report['best']} errs most, with how far each pose is from training (next "
-            "section). Worst poses far from training want more poses like them in the dataset; "
-            "worst poses close to it want a larger model."
+            f"Where {report['best']} errs most, with how far each pose is from training: outside "
+            "the range of its poses, in half diagonals of that range, and from the nearest of "
+            "them, in spacings, the usual distance between them. Worst poses far from training "
+            "want more poses like them in the dataset; worst poses close to it want a larger model."
         ),
-        table(["clip", "time", "error", "outside the range", "to the nearest pose"], rows),
+        table(["clip", "time in it", "error", *DISTANCES], rows),
     )
 
 
@@ -390,11 +401,11 @@ def clip_section(report: Report) -> str:
         paragraph(
             f"Of {report['best']}. Coherence compares how much the error and the truth move "
             "from one pose to the next: 1 is what a shadow that never moves has, less is "
-            "steadier, more flickers. Distances are means over the clip's poses."
+            "steadier, more flickers. The worst vertex is the one that errs most over the clip's "
+            "poses. Distances, as above, are means over them."
         ),
         table(
-            ["clip", "error", "99 % of vertices below", "worst vertex", "coherence",
-             "outside the range", "to the nearest pose"],
+            ["clip", "error", "99 % of vertices below", "worst vertex", "coherence", *DISTANCES],
             rows,
         ),
     )  # fmt: skip

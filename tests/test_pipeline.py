@@ -90,7 +90,10 @@ def test_evaluation_of_a_dataset(work: Path, capsys: pytest.CaptureFixture[str])
     assert results["pca_floor"] <= results["rms"] < results["signal"]
     assert results["nearest"] == 0  # every pose is a training pose
     assert results["model_bytes"] == (work / "arm.safetensors").stat().st_size
-    assert f"{100 * results['rms']:.2f} %" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert f"{100 * results['rms']:.2f} %" in text
+    worst = max(results["poses"], key=lambda pose: pose["rms"])
+    assert f"bend at {worst['time']:.2f} s" in text
 
 
 def test_evaluation_of_a_scene_agrees(work: Path) -> None:

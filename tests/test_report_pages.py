@@ -145,6 +145,28 @@ def test_page_says_what_the_json_says(work: Path, name: str) -> None:
     assert any(row[0] == worst["clip"] and row[2] == per_cent(worst["rms"]) for row in rows)
 
 
+SAID = {
+    "receivers": "Receivers are where", "order": "order² numbers", "rays": "rays are those",
+    "dataset": "The dataset is", "judged poses": "Errors are of", "held-out error": "The error is",
+    "99 % of vertices below": "99 of 100 vertices", "training error": "that the fit saw",
+    "floor": "The floor is", "variance kept": "variance kept says", "inputs": "Inputs and latents",
+    "latents": "Inputs and latents", "size": "MB are", "one pose": "Times are", "fit": "Fit is",
+    "training in all": "training in all has", "coherence": "Coherence is", "error": "The error is",
+    "outside the range, half diagonals": "outside the range of its poses, in half diagonals",
+    "to the nearest pose, spacings": "in spacings", "worst vertex": "The worst vertex is",
+}  # fmt: skip
+PLAIN = {"scene", "vertices", "triangles", "training poses", "model", "clip", "time in it"}
+
+
+def test_every_figure_has_a_sentence(work: Path) -> None:
+    parsed = Page(read(work, "held")[0])
+    text = " ".join(parsed.words)
+    heads = [row for row in parsed.rows if row[0] in ("scene", "model", "clip")]
+    assert len(heads) == 4
+    for column in {column for row in heads for column in row} - PLAIN:
+        assert SAID[column] in text
+
+
 def test_held_out_clips_are_told_apart_from_training(work: Path) -> None:
     (seen, seen_told), (held, held_told) = read(work, "seen"), read(work, "held")
     assert seen_told["dataset"]["held_out"] is False
@@ -158,8 +180,8 @@ def test_held_out_clips_are_told_apart_from_training(work: Path) -> None:
     assert held_told["dataset"]["clips"] == ["later & <b>"]
     assert "holds out no clip" not in held
     assert "later &amp; &lt;b&gt;" in held
-    assert len(seen_told["models"]) == 6
-    assert len(held_told["models"]) == 12 + 6 + 3
+    assert len(seen_told["models"]) == 8
+    assert len(held_told["models"]) == 16 + 6 + 3
 
 
 def test_models_in_fewer_bits_and_searched_ones_are_on_the_page(work: Path) -> None:

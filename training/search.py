@@ -30,6 +30,7 @@ from training.outputs import AROUND
 from training.selection import folds_over_moments
 from training.train import (
     fit_model,
+    report_convergence,
     report_errors,
     training_rows,
     with_training_range,
@@ -220,6 +221,7 @@ def found(
     choices = compare(candidates, budget, milliseconds)
     chosen = best(choices, budget)
     model = candidates.finished(chosen)
+    report_convergence(model.metadata["fits"], candidates.watch)
     report_errors(model, candidates.dataset, candidates.watch)
     model.metadata["search"] = {
         "budget": dataclasses.asdict(budget),

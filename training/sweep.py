@@ -88,8 +88,10 @@ class Candidate:
 
 FAMILIES = (
     Family("linear, joint angles", {"kind": "linear", "features": "joint_angles"}),
+    Family("quadratic, joint angles", {"kind": "quadratic", "features": "joint_angles"}),
     Family("neural, joint angles", {"kind": "neural", "features": "joint_angles"}),
     Family("linear, occluders", {"kind": "linear", "features": "occluders"}, needs_skin=True),
+    Family("quadratic, occluders", {"kind": "quadratic", "features": "occluders"}, needs_skin=True),
     Family(
         "neural, occluders", {"kind": "neural", "features": "occluders"}, needs_skin=True,
         storages=("int8", "int4"),

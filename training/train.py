@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,6 +43,7 @@ __all__ = [
     "cross_validation_folds",
     "fit_model",
     "prepared",
+    "report_convergence",
     "report_errors",
     "select",
     "train",
@@ -123,10 +125,12 @@ class Fitting:
         started = time.perf_counter()
         fits = fit(self.data, self.config, neurons, alpha, watch)
         seconds = {"seconds": {"fit": time.perf_counter() - started}}
+        facts = fit_facts(fits)
+        report_convergence(facts["fits"], watch)
         return dataclasses.replace(
             self.body,
             regressor=to_regressor(average(fits), self.data.products, self.config.parts),
-            metadata=self.body.metadata | {"alpha": alpha} | fit_facts(fits) | seconds,
+            metadata=self.body.metadata | {"alpha": alpha} | facts | seconds,
         )
 
 
@@ -328,29 +332,41 @@ def fit(
             config.seed + network, on_iteration, config.restarts,
         )  # fmt: skip
         fits.append(fitted)
-        report_convergence(fitted, network, watch)
     return fits
 
 
-def report_convergence(fitted: Fit, network: int, watch: Monitor) -> None:
-    """How each cluster's fit of a network ended: by cluster, as histograms, and as counts."""
-    losses = fitted.loss.cpu().numpy()
-    watch.histogram("fit/iterations", fitted.iterations.numpy(), network)
-    watch.histogram("fit/final_objective", losses, network)
-    for text in sorted(set(fitted.status)):
-        watch.scalar(f"fit/{text.replace(' ', '_')}", fitted.status.count(text), network)
-    for cluster, (loss, taken) in enumerate(zip(losses, fitted.iterations.tolist(), strict=True)):
-        watch.scalar(f"fit/objective_{network}_by_cluster", float(loss), cluster)
-        watch.scalar(f"fit/iterations_{network}_by_cluster", taken, cluster)
+def report_convergence(fits: Sequence[Mapping[str, Any]], watch: Monitor) -> None:
+    """How each cluster's fits ended, of :func:`convergence`.
+
+    By cluster, also 1 in the chart of the status that it ended with and 0 in those of others; as
+    histograms; and as counts.
+    """
+    for network, fitted in enumerate(fits):
+        watch.histogram("fit/iterations", np.array(fitted["iterations"]), network)
+        watch.histogram("fit/final_objective", np.array(fitted["objective"]), network)
+        for text, clusters in fitted["clusters"].items():
+            name = text.replace(" ", "_")
+            watch.scalar(f"fit/{name}", len(clusters), network)
+            for cluster in range(len(fitted["iterations"])):
+                watch.scalar(f"fit/{name}_{network}_by_cluster", cluster in clusters, cluster)
+        for what in ("objective", "iterations"):
+            for cluster, value in enumerate(fitted[what]):
+                watch.scalar(f"fit/{what}_{network}_by_cluster", value, cluster)
 
 
 def convergence(fitted: Fit) -> dict[str, Any]:
-    """How each cluster's fit ended, for the model's header: clusters by status, iterations."""
+    """How each cluster's fit ended, for the model's header.
+
+    Clusters by status; of each its iterations and the objective of targets of unit variance.
+    """
     clusters = {
         text: [cluster for cluster, own in enumerate(fitted.status) if own == text]
         for text in sorted(set(fitted.status))
     }
-    return {"clusters": clusters, "iterations": fitted.iterations.tolist()}
+    objective = [float(f"{loss:.4g}") for loss in fitted.loss.tolist()]
+    return {
+        "clusters": clusters, "iterations": fitted.iterations.tolist(), "objective": objective,
+    }  # fmt: skip
 
 
 def side_by_side(targets: FloatArray, parts: int) -> FloatArray:

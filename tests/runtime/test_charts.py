@@ -62,6 +62,19 @@ def test_points_are_drawn_inside_the_picture_and_say_what_they_are() -> None:
     assert "&lt;family&gt;" in legend(["a <family>"])
 
 
+@pytest.mark.parametrize("values", [(5.0, 5.2), (5.0, 5.0), (9.9, 9.8), (9.9, 2.0), (1.0, 7.0)])
+def test_names_of_lines_close_to_each_other_are_not_written_over_each_other(values) -> None:
+    svg = scatter([], X, Y, "a chart", [Reference(f"line {v}", v) for v in values])
+    lines = re.findall(r'class="reference" x1="[\d.]+" y1="([\d.]+)"', svg)
+    names = re.findall(r'<text x="[\d.]+" y="([\d.]+)" text-anchor="end">line ([\d.]+)<', svg)
+    assert [float(name) for _, name in names] == sorted(values, reverse=True)  # from above
+    rows = [float(row) for row, _ in names]
+    assert rows[1] - rows[0] >= 15  # the height of their letters
+    for row, own in zip(rows, map(float, lines), strict=True):
+        assert abs(row - own) < 36  # beside its line
+        assert row > 25  # inside the picture
+
+
 def test_front_goes_right_and_then_down() -> None:
     svg = scatter([], X, Y, "a chart", front=[(10.0, 2.0), (1.0, 9.0)])
     (points,) = re.findall(r'class="front" points="([^"]*)"', svg)

@@ -10,6 +10,7 @@ from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
 from runtime.onnx_model import OnnxModel
 from tests.training.data import memory_dataset
+from tests.training.test_train import Recorder
 from training import families
 from training import search as module
 from training.budget import Budget
@@ -245,6 +246,15 @@ def test_the_model_found_is_whole(tmp_path):
     assert np.linalg.norm(graph(poses) - answer) <= 1e-5 * np.linalg.norm(answer)
     assert model.novelty(poses).max() <= 1e-5
     assert "expected error" in again.metadata["search"]["why"]
+
+
+def test_how_the_fits_of_the_model_found_ended_can_be_plotted():
+    watch = Recorder()
+    model = search(scene(), SMALL, Budget(max_error=0.2), by_size, watch)
+    for network, told in enumerate(model.metadata["fits"]):
+        for text in told["clusters"]:
+            assert f"fit/{text.replace(' ', '_')}_{network}_by_cluster" in watch.scalars
+    assert any(name.startswith("search/") for name in watch.scalars)
 
 
 def test_groups_that_never_change_keep_their_mean_alone(monkeypatch):

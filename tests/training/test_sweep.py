@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from prtnet.errors import PrtnetError
 from tests.training.data import memory_dataset
 from tests.training.test_train import SMALL
 from training import search, sweep
+from training.config import TrainConfig
 from training.onnx_export import build_onnx
 from training.sweep import FAMILIES, SIZES, Candidate, candidates, fitted, rounded, searched
 from training.train import train
@@ -26,6 +28,12 @@ def test_every_family_comes_in_every_size() -> None:
         }
 
 
+def test_every_kind_of_regressor_and_prior_is_a_family() -> None:
+    """But the mean, which is a yardstick, and lobes, whose fits take a search a receiver."""
+    kinds = set(get_args(get_type_hints(TrainConfig)["kind"])) - {"auto", "constant", "lobes"}
+    assert {family.options["kind"] for family in FAMILIES} == kinds
+
+
 def test_quick_is_the_smallest_of_each() -> None:
     quick = candidates("skinned", 10_000, quick=True)
     assert [each.family for each in quick if each.source is None] == [
@@ -37,7 +45,8 @@ def test_quick_is_the_smallest_of_each() -> None:
 def test_point_caches_have_no_spheres() -> None:
     made = candidates("point_cache", 10_000)
     assert {each.family for each in made} == {
-        "linear, dihedral angles", "neural, dihedral angles", "hybrid", "shared", "shared, 4 bits"
+        "linear, dihedral angles", "quadratic, dihedral angles", "neural, dihedral angles",
+        "hybrid", "shared", "shared, 4 bits",
     }  # fmt: skip
     assert all(each.config.features in ("joint_angles", None) for each in made)
 

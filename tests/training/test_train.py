@@ -169,6 +169,8 @@ def test_metadata_tells_how_it_was_made(tmp_path):
     assert sorted(listed) == [0, 1, 2, 3]
     assert len(convergence["iterations"]) == 4
     assert 0 < max(convergence["iterations"]) <= 40
+    assert len(convergence["objective"]) == 4
+    assert all(0 < loss < 1 for loss in convergence["objective"])  # 1 is the mean's
     assert set(header["seconds"]) == {"fit", "total"}
 
 
@@ -201,16 +203,32 @@ def test_tensorboard_holds_scalars_and_histograms(tmp_path):
     assert {"error/held_out", "fit/objective_0"} <= set(tags["scalars"])
     assert {"error/held_out_by_receiver", "fit/iterations"} <= set(tags["histograms"])
     assert [e.step for e in events.Scalars("fit/iterations_0_by_cluster")] == [0, 1, 2, 3]
-    ended = [
-        tag
-        for tag in ("converged", "stalled", "iteration_limit")
-        if f"fit/{tag}" in tags["scalars"]
-    ]
-    assert sum(events.Scalars(f"fit/{tag}")[0].value for tag in ended) == 4
     assert [e.value for e in events.Scalars("fit/objective_0")] == pytest.approx(
         [value for _, value in watch.scalars["fit/objective_0"]], rel=1e-6
     )
     assert watch.stages
+
+
+@pytest.mark.parametrize("kind", ["constant", "linear", "neural"])
+def test_how_each_clusters_fit_ended_can_be_plotted(kind):
+    """Also of the closed form; a cluster that never changes says so."""
+    data = memory_dataset()
+    data.read("visibility")[:, :15] = 1.0  # those of one joint, most of a cluster
+    watch = Recorder()
+    networks = 2 if kind == "neural" else 1
+    config = dataclasses.replace(SMALL, kind=kind, clusters=12, networks=networks)
+    header = train(data, config, watch).metadata
+    assert len(header["fits"]) == config.networks
+    assert kind == "constant" or len(header["fit_status"]) > 1
+    for network, told in enumerate(header["fits"]):
+        for text, clusters in told["clusters"].items():
+            name = text.replace(" ", "_")
+            assert (network, len(clusters)) in watch.scalars[f"fit/{name}"]
+            each = watch.scalars[f"fit/{name}_{network}_by_cluster"]
+            assert each == [(cluster, float(cluster in clusters)) for cluster in range(12)]
+        for what in ("iterations", "objective"):
+            plotted = watch.scalars[f"fit/{what}_{network}_by_cluster"]
+            assert plotted == list(enumerate(told[what]))
 
 
 @pytest.mark.parametrize(
