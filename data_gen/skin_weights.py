@@ -13,29 +13,12 @@ import scipy.sparse
 from scipy.sparse.linalg import splu
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.laplacian import cotangent_laplacian
 
 __all__ = ["bone_heat", "strongest"]
 
 TIE = 1.001  # distances that differ by less are equal
 NEGLIGIBLE = 0.01  # weights below it are dropped
-
-
-def cotangent_laplacian(
-    vertices: FloatArray, faces: IntArray
-) -> tuple[scipy.sparse.csr_array, FloatArray]:
-    """The positive semi-definite cotangent Laplacian (V, V) and the vertices' areas (V,)."""
-    count = len(vertices)
-    corners = vertices[faces]  # [T, 3, 3]
-    ahead, behind = np.roll(corners, -1, axis=1), np.roll(corners, -2, axis=1)
-    u, v = ahead - corners, behind - corners
-    area = np.linalg.norm(np.cross(u, v), axis=-1)  # [T, 3] twice the triangle's, at every corner
-    half_cotangent = 0.5 * np.sum(u * v, axis=-1) / area
-    row, column = np.roll(faces, -1, axis=1).ravel(), np.roll(faces, -2, axis=1).ravel()
-    half = scipy.sparse.coo_array((half_cotangent.ravel(), (row, column)), shape=(count, count))
-    links = (half + half.T).tocsr()
-    diagonal = scipy.sparse.diags_array(links.sum(axis=1))
-    areas = np.bincount(faces.ravel(), area.ravel() / 6, minlength=count).astype(np.float64)
-    return (diagonal - links).tocsr(), areas
 
 
 def segment_distances(points: FloatArray, segments: FloatArray) -> FloatArray:

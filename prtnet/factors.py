@@ -17,7 +17,7 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.brdf import BRDF
 from prtnet.hemisphere import Mapping, cells
 
-__all__ = ["Factors", "factorise", "harmonic_factors", "symmetries", "tabulate"]
+__all__ = ["Factors", "coverage", "factorise", "harmonic_factors", "symmetries", "tabulate"]
 
 BLOCK = 1 << 20  # pairs of directions evaluated at a time
 
@@ -159,8 +159,18 @@ def blocks(count: int, each: int) -> Iterator[slice]:
         yield slice(start, min(start + step, count))
 
 
+def coverage(views: int, mapping: Mapping) -> FloatArray:
+    """∫ cos over the cells of view directions, (V,): what a picture of a ball shows of each."""
+    out, area = cells(round(views**0.5), 4, mapping)
+    return np.asarray((area * np.maximum(out[..., 2], 0.0)).sum(axis=1))
+
+
 def factorise(
-    table: FloatArray, count: int = 8, mapping: Mapping = "concentric", most: float | None = None
+    table: FloatArray,
+    count: int = 8,
+    mapping: Mapping = "concentric",
+    most: float | None = None,
+    covered: bool = False,
 ) -> Factors:
     """The best factors of a table, in the sum of squares over its cells.
 
@@ -169,6 +179,8 @@ def factorise(
         count: factors k.
         mapping: of the table.
         most: larger values are clamped first ("All-Frequency" section 3 clamps at 3).
+        covered: whether a view counts as much as it covers of a picture, by the cosine over its
+            cell, as the singular values then do; otherwise all count alike.
 
     Raises:
         ValueError: there are fewer light directions than factors.
@@ -178,8 +190,11 @@ def factorise(
         raise ValueError(f"a table of {lights} light directions has no {count} factors")
     kept = table if most is None else np.minimum(table, most)
     matrix = kept.swapaxes(1, 2).reshape(views * colours, lights).astype(np.float64)
+    weighted = matrix
+    if covered:
+        weighted = matrix * np.sqrt(np.repeat(coverage(views, mapping), colours))[:, None]
     # Of the smaller side's Gram matrix: k of a thousand singular values are asked for.
-    values, vectors = np.linalg.eigh(matrix.T @ matrix)
+    values, vectors = np.linalg.eigh(weighted.T @ weighted)
     values, vectors = np.sqrt(np.maximum(values[::-1], 0.0)), vectors[:, ::-1]
     light = vectors[:, :count].T  # [k, S], orthonormal
     view = np.moveaxis((matrix @ light.T).reshape(views, colours, -1), -1, 0)

@@ -1,0 +1,117 @@
+"""What the vertices of a surface see of a fine cube map of directions, a bit each.
+
+"All-Frequency" (Liu, Sloan, Shum and Snyder 2004) section 4: a map of 6 × 128 × 128 directions in
+the world's frame, four by four to a texel of light. Directions below the horizon of a vertex need
+no ray: it sees nothing there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_gen.rays import border_operator, departure
+from data_gen.visibility import BATCH, Tracer
+from prtnet.arrays import BoolArray, FloatArray, IntArray
+from prtnet.console import Report, silent
+from prtnet.cube_map import directions
+from prtnet.frames import orthonormal_frames
+from prtnet.scene import Receivers
+from prtnet.transfer import Surface
+
+__all__ = ["CubeVisibility", "cube_visibility"]
+
+FINE = 128  # directions a side of a face, in the paper
+
+
+@dataclass(frozen=True, eq=False)
+class CubeVisibility:
+    """Which directions of a cube map P vertices see.
+
+    Attributes:
+        bits: (P, 6, n, n / 8) uint8, columns from the highest bit on: 1 where a direction is above
+            the horizon and nothing hides it.
+        size: directions n a side of a face.
+    """
+
+    bits: IntArray
+    size: int
+
+    def __len__(self) -> int:
+        return len(self.bits)
+
+    def seen(self, points: slice | IntArray, face: int) -> BoolArray:
+        """Of some vertices, of one face: (B, n, n)."""
+        own = np.asarray(self.bits[points, face], dtype=np.uint8)
+        return np.unpackbits(own, axis=-1).view(np.bool_)
+
+
+def cube_visibility(
+    surface: Surface,
+    casters: Sequence[Surface],
+    size: int = FINE,
+    threads: int = 1,
+    report: Report = silent,
+) -> CubeVisibility:
+    """Cast a ray in every direction above the horizon of every vertex.
+
+    Args:
+        surface: the vertices; their horizons are those of their normals.
+        casters: what hides light: the surface itself as a rule, and what else is there.
+        size: directions a side of a face.
+        threads: that trace.
+        report: of progress.
+
+    Raises:
+        ValueError: a side of so many directions is no whole number of bytes.
+    """
+    if size < 8 or size % 8:
+        raise ValueError(f"faces of {size} directions a side are no whole number of bytes")
+    tracer = Tracer(*joined(casters))
+    # Of a vertex without a normal: whichever the transfer takes as well.
+    normals = orthonormal_frames(surface.tangents, surface.normals)[..., 2]
+    away = normals
+    if any(one is surface for one in casters):
+        away = departure(normals, inwards(surface))
+    starts = tracer.origins(surface.positions, away)
+    every = directions(size).reshape(-1, 3)
+    every32 = every.astype(np.float32)
+    bits = np.zeros((len(surface), 6 * size * size // 8), dtype=np.uint8)
+    step = max(1, 2 * BATCH // len(every))
+    parts = [slice(start, start + step) for start in range(0, len(surface), step)]
+
+    def one(part: slice) -> None:
+        seen = normals[part] @ every.T > 0.0  # [B, D]
+        point, direction = np.nonzero(seen)
+        hit = tracer.occluded(starts[part][point], every32[direction])
+        seen[point[hit], direction[hit]] = False
+        bits[part] = np.packbits(seen, axis=1)
+
+    with ThreadPoolExecutor(threads) as pool:
+        for done, _ in enumerate(pool.map(one, parts), 1):
+            report("rays", min(done * step, len(surface)), len(surface))
+    return CubeVisibility(bits.reshape(len(surface), 6, size, size // 8), size)
+
+
+def joined(casters: Sequence[Surface]) -> tuple[FloatArray, IntArray]:
+    """Positions and triangles of several surfaces as one.
+
+    Raises:
+        ValueError: there is no triangle.
+    """
+    starts = np.cumsum([0, *(len(one) for one in casters)])[:-1]
+    faces = [one.faces + start for one, start in zip(casters, starts, strict=True)]
+    if not any(len(one) for one in faces):
+        raise ValueError("nothing casts a shadow: there is no triangle")
+    return np.concatenate([one.positions for one in casters]), np.concatenate(faces)
+
+
+def inwards(surface: Surface) -> FloatArray:
+    """Of vertices on a border of their surface the way inwards, (P, 3); zero of others."""
+    every = np.arange(len(surface), dtype=np.int32)
+    receivers = Receivers(every, np.ones(len(every), dtype=np.int8), every)
+    positions = surface.positions.astype(np.float64)
+    return np.asarray(border_operator(surface.faces, receivers) @ positions)
