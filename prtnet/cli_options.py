@@ -168,7 +168,9 @@ class RenderOptions:
     dering: float = 0.0  # take ripples off a small bright light: 0.01 is mild, 0.1 strong
     lobes: int | None = None  # zonal lobes of the light, a colour; 0 for exactly; what it needs
     order: int | None = None  # bands of light and visibility to show; the model's when not given
-    brdf: str = "matte"  # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file
+    # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file, or of models of lobes
+    # lobe:exponent=20,transmitted=0.2
+    brdf: str = "matte"
     factors: int = 8  # products that a BRDF is a sum of
     show: Look = "prediction"  # what to draw; truth is light traced, visibility only that is traced
     beside: Look | None = None  # what to draw on the right of a split
@@ -227,7 +229,9 @@ class ViewOptions:
     light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
     lobes: int = 3  # zonal lobes of the light, a colour; 0 for as many as hold it exactly
     order: int | None = None  # bands of light and visibility to show; the model's when not given
-    brdf: str = "matte"  # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file
+    # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file, or of models of lobes
+    # lobe:exponent=20,transmitted=0.2
+    brdf: str = "matte"
     factors: int = 8  # products that a BRDF is a sum of
     copies: int = 1  # characters beside and behind each other, each at a moment of its own
     size: tuple[int, int] = (1280, 800)  # of the window, in pixels

@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from prtnet.brdf import Lambert
 from prtnet.cli_options import blend_of
 from prtnet.environment import Environment, environment
 from prtnet.errors import PrtnetError
 from prtnet.materials import brdf_named, material
 from prtnet.model import VisibilityModel
 from prtnet.modelled_scene import ModelledScene, Moment
+from prtnet.one_dimensional import OneDimensional
 
 if TYPE_CHECKING:
     from prtnet.animation import Clip
@@ -128,13 +130,14 @@ def staged_shots(
     from runtime.shot import Shot
 
     light = environment(options.light).turned(options.light_turn)
-    brdf = brdf_named(options.brdf)
+    brdf = brdf_named(options.brdf, bool(actor.model.lobes))
     order = order_of(options.order, actor.model.order)
     lobes = lobes_of(light.harmonics(actor.model.order, options.dering), options.lobes)
     posed = posing(options, actor, clip, threads)
     with console.progress() as report:
         report("material", 0, 0)
-        operator = material(brdf, options.factors, actor.model.order)
+        lobed = isinstance(brdf, OneDimensional)
+        operator = None if lobed else material(brdf, options.factors, actor.model.order)
     camera = camera_of(options, actor, clip, posed(frames[0].time))
 
     def take(frame: Frame) -> Shot:
@@ -233,7 +236,11 @@ def staged(model_file: Path, scene_file: Path) -> ModelledScene:
 def tracers(
     actor: ModelledScene, rays: int, threads: int
 ) -> tuple[Callable[[FloatArray], FloatArray], Radiance]:
-    """What traces the truth of one pose: visibility (V, n²), and light towards an eye (V, 3)."""
+    """What traces the truth of one pose: visibility (V, n²), and light towards an eye (V, 3).
+
+    What comes through a membrane is what a matte surface would send from its other side: one-sided
+    models have none, and it ends in a PrtnetError.
+    """
     from data_gen.radiance import trace_radiance
     from data_gen.truth import true_visibility
 
@@ -241,10 +248,19 @@ def tracers(
         return true_visibility(actor, pose, rays, threads)
 
     def radiance(pose: FloatArray, eye: FloatArray, light: Environment, brdf: BRDF) -> FloatArray:
-        return trace_radiance(
-            actor.scene, actor.receivers, actor.frame_field, pose, eye, light, brdf, rays,
-            threads,
-        )  # fmt: skip
+        def traced(reflectance: BRDF) -> FloatArray:
+            return trace_radiance(
+                actor.scene, actor.receivers, actor.frame_field, pose, eye, light, reflectance,
+                rays, threads,
+            )  # fmt: skip
+
+        if not (isinstance(brdf, OneDimensional) and brdf.lets_light_through):
+            return traced(brdf)
+        if not actor.model.metadata.get("two_sided", False):
+            why = "of light that is transmitted needs a model with backs (generate --two-sided)"
+            raise PrtnetError("truth", f"{why}; leave out transmitted")
+        through = traced(Lambert(brdf.transmitted))
+        return traced(brdf) + np.roll(through, len(through) // 2, axis=0)  # fronts, then backs
 
     return visibility, radiance
 

@@ -47,9 +47,9 @@ def opened_viewer(
 
     environments = functools.cache(environment)
     environments(options.light)
-    brdf_named(options.brdf)
     cast_files = functools.partial(cast_of, rays=options.rays, threads=threads)
     cast = cast_files(options.model, options.scene)
+    brdf_named(options.brdf, bool(cast.actor.model.lobes))
     scene = cast.actor.scene
     clip = scene.clip(options.clip) if options.clip else scene.clips[0]
     if not options.out.is_dir():

@@ -1,7 +1,8 @@
 """Materials by name: what ``--brdf`` understands, as reflection product operators.
 
 A name is that of a BRDF (``ggx``), of a preset (``gold``), or of a measured ``.binary`` file;
-parameters follow a colon: ``ggx:roughness=0.2,fresnel=1/0.77/0.34``.
+parameters follow a colon: ``ggx:roughness=0.2,fresnel=1/0.77/0.34``. ``lobe`` is no operator: it
+shades visibility that is zonal lobes, with an exponent that may change while running.
 """
 
 from __future__ import annotations
@@ -25,15 +26,18 @@ from prtnet.brdf import (
 from prtnet.errors import PrtnetError, nearest_name
 from prtnet.factors import harmonic_factors, tabulate
 from prtnet.merl import read_merl
+from prtnet.one_dimensional import OneDimensional
 from prtnet.operators import cosine_matrix
 from prtnet.reflection import ReflectionOperator, operator_of
 
-__all__ = ["BRDFS", "PRESETS", "brdf_named", "material"]
+__all__ = ["BRDFS", "OF_LOBES", "PRESETS", "brdf_named", "material"]
 
 BRDFS: dict[str, type[Any]] = {
     kind.name: kind
     for kind in (Lambert, Phong, BlinnPhong, CookTorrance, GGX, Schlick, AshikhminShirley)
 }
+OF_LOBES: dict[str, type[Any]] = {OneDimensional.name: OneDimensional}
+"""Those that only models of lobes are shaded with."""
 PRESETS: dict[str, BRDF] = {
     "matte": Lambert(0.8),
     "plastic": GGX(diffuse=(0.5, 0.08, 0.06), specular=1.0, roughness=0.4, fresnel=0.05),
@@ -46,21 +50,30 @@ MEASURED = ".binary"
 SAMPLES = 2  # of a cell, a side: four change the transfer of an open vertex by 0.1 to 2.5 %
 
 
-def brdf_named(text: str) -> BRDF:
+def brdf_named(text: str, of_lobes: bool = False) -> BRDF:
     """The BRDF that a name, and what follows its colon, stand for.
 
+    Args:
+        text: what ``--brdf`` was given.
+        of_lobes: whether it is for visibility in zonal lobes.
+
     Raises:
-        PrtnetError: there is no such name or parameter, or a value is none that a surface has.
+        PrtnetError: there is no such name or parameter, a value is none that a surface has, or
+            only lobes can be shaded with it.
     """
     if text.lower().endswith(MEASURED):
         return read_merl(text)
     name, _, words = text.partition(":")
-    if name not in BRDFS and name not in PRESETS:
+    if name in OF_LOBES and not of_lobes:
+        why = f"'{name}' is of visibility in zonal lobes: of models that --kind lobes trained"
+        raise PrtnetError("--brdf", f"{why}; phong is for all")
+    kinds = BRDFS | OF_LOBES
+    if name not in kinds and name not in PRESETS:
         if is_file(text):
             raise PrtnetError(text, f"is no MERL file, which end in {MEASURED}")
-        known = nearest_name(name, [*PRESETS, *BRDFS])
+        known = nearest_name(name, [*PRESETS, *(kinds if of_lobes else BRDFS)])
         raise PrtnetError("--brdf", f"'{name}' is neither a BRDF nor a file; {known}")
-    start = PRESETS[name] if name in PRESETS else BRDFS[name]()
+    start = PRESETS[name] if name in PRESETS else kinds[name]()
     fields = [field.name for field in dataclasses.fields(start)]  # type: ignore[arg-type]
     changed = {}
     for word in words.split(",") if words else []:

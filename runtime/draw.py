@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal, Protocol
 
 import numpy as np
 
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError, nearest_name
+from prtnet.one_dimensional import OneDimensional
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
 from runtime.camera import Camera
 from runtime.looks import cut_lobes, cut_visibility
+from runtime.one_dimensional import LobeSubject, side_radiance
 from runtime.rasteriser import rasterise
 from runtime.reflected import Side, Subject, outgoing_radiance
 from runtime.shading import Surface, reflected_light
@@ -27,6 +29,7 @@ __all__ = [
     "opened",
     "render",
     "render_colours",
+    "render_lobes",
     "render_material",
     "usable",
 ]
@@ -56,6 +59,17 @@ class Renderer(Protocol):
         order: int = 0,
     ) -> FloatArray:
         """The same of a subject of a material, under lobes of light of three colours."""
+        ...
+
+    def draw_lobes(
+        self,
+        subject: LobeSubject,
+        lobes: Lobes,
+        material: OneDimensional,
+        camera: Camera,
+        size: tuple[int, int],
+    ) -> FloatArray:
+        """The same of a subject whose visibility is lobes."""
         ...
 
 
@@ -91,9 +105,31 @@ class CPURenderer:
         colours = [
             outgoing_radiance(subject.positions, side, eye, lobes, operator) for side in shown
         ]
-        matrix = camera.matrix(size[0] / size[1])
-        back = None if subject.back is None else colours[1]
-        return rasterise(subject.positions, subject.faces, colours[0], matrix, size, back)
+        return rasterised(subject, colours, camera, size)
+
+    def draw_lobes(
+        self,
+        subject: LobeSubject,
+        lobes: Lobes,
+        material: OneDimensional,
+        camera: Camera,
+        size: tuple[int, int],
+    ) -> FloatArray:
+        """As ``GLRenderer.draw_lobes``."""
+        colours = side_radiance(subject, np.asarray(camera.eye), lobes, material)
+        return rasterised(subject, colours, camera, size)
+
+
+def rasterised(
+    subject: Subject | LobeSubject,
+    colours: Sequence[FloatArray],
+    camera: Camera,
+    size: tuple[int, int],
+) -> FloatArray:
+    """A mesh with colours (V, 3) of its front, and of its back where there are any."""
+    matrix = camera.matrix(size[0] / size[1])
+    back = colours[1] if len(colours) > 1 else None
+    return rasterise(subject.positions, subject.faces, colours[0], matrix, size, back)
 
 
 @contextlib.contextmanager
@@ -195,6 +231,20 @@ def render_material(
         PrtnetError: the picture is too large.
     """
     fine = renderer.draw_material(subject, lobes, operator, camera, finer(size, samples), order)
+    return averaged(fine, size)
+
+
+def render_lobes(
+    renderer: Renderer,
+    subject: LobeSubject,
+    lobes: Lobes,
+    material: OneDimensional,
+    camera: Camera,
+    size: tuple[int, int],
+    samples: int = 4,
+) -> FloatArray:
+    """As ``render_material``, of a 1D BRDF on visibility in lobes."""
+    fine = renderer.draw_lobes(subject, lobes, material, camera, finer(size, samples))
     return averaged(fine, size)
 
 

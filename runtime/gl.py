@@ -16,10 +16,13 @@ import numpy as np
 
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
+from prtnet.one_dimensional import OneDimensional
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
 from runtime.camera import Camera
 from runtime.material_shader import FRAGMENT_SHADER
+from runtime.one_dimensional import LobeSubject
+from runtime.one_dimensional_stage import OneDimensionalStage
 from runtime.reflected import Subject
 from runtime.shading import Surface
 from runtime.stage import TEXTURE_WIDTH, Stage
@@ -96,6 +99,7 @@ class GLRenderer:
         self._programs: dict[int, Any] = {}
         self._stages: dict[int, Stage] = {}
         self._closed = False
+        self._lobed: dict[tuple[int, int], OneDimensionalStage] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -114,10 +118,10 @@ class GLRenderer:
             return
         self._closed = True
         with self._context:
-            for held in (*self._programs.values(), *self._stages.values()):
-                held.release()
-            self._programs.clear()
-            self._stages.clear()
+            for held in (self._programs, self._stages, self._lobed):
+                for one in held.values():
+                    one.release()
+                held.clear()
         self._context.release()
 
     def draw(
@@ -180,6 +184,28 @@ class GLRenderer:
             stage.show(subject)
             stage.light(lobes)
             stage.material(operator)
+            frame = framed(self._context, size, made)
+            stage.draw(frame, camera.matrix(size[0] / size[1]), np.asarray(camera.eye))
+            return pixels_of(frame, size)
+
+    def draw_lobes(
+        self,
+        subject: LobeSubject,
+        lobes: Lobes,
+        material: OneDimensional,
+        camera: Camera,
+        size: tuple[int, int],
+    ) -> FloatArray:
+        """The same of a 1D BRDF on visibility in lobes, of the light's order."""
+        check_size(self._context, size)
+        key = subject.front.visibility.coefficients.shape[:0:-1]  # order, lobes
+        with self._context, contextlib.ExitStack() as made:
+            if key not in self._lobed:
+                self._lobed[key] = OneDimensionalStage(self._context, *key)
+            stage = self._lobed[key]
+            stage.show(subject)
+            stage.light(lobes)
+            stage.material(material)
             frame = framed(self._context, size, made)
             stage.draw(frame, camera.matrix(size[0] / size[1]), np.asarray(camera.eye))
             return pixels_of(frame, size)

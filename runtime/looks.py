@@ -12,6 +12,7 @@ import numpy as np
 from prtnet.arrays import FloatArray
 from prtnet.zh import Lobes, exact_lobes, relative_error
 from prtnet.zh_fit import fewest_lobes, fit_lobes
+from runtime.one_dimensional import above_horizon
 from runtime.picture import colour_map
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "heat_colours",
     "lobes_of",
     "open_visibility",
+    "shaded_lobes",
     "white_light",
 ]
 
@@ -44,7 +46,7 @@ def lobes_of(light: FloatArray, count: int | None) -> Lobes:
 
 
 def cut_lobes(lobes: Lobes, order: int) -> Lobes:
-    """A light of so many bands; 0 for all there are."""
+    """Lobes of so many bands; 0 for all there are."""
     if order == 0:
         return lobes
     kept = np.arange(lobes.coefficients.shape[-1]) < order
@@ -63,6 +65,17 @@ def open_visibility(count: int, order: int) -> FloatArray:
     visibility = np.zeros((count, order**2), dtype=np.float32)
     visibility[:, 0] = math.sqrt(4.0 * math.pi)
     return visibility
+
+
+def shaded_lobes(visibility: Lobes | FloatArray, order: int) -> Lobes:
+    """What a 1D BRDF is shaded with: visibility above the horizon alone, as lobes.
+
+    Args:
+        visibility: lobes (V, c), or coefficients (V, n²), which 2n − 1 lobes hold exactly.
+        order: bands that are shown; 0 for all.
+    """
+    given = visibility if isinstance(visibility, Lobes) else exact_lobes(visibility)
+    return cut_lobes(above_horizon(given), order)
 
 
 def white_light(order: int) -> Lobes:

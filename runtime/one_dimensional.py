@@ -23,16 +23,15 @@ Papers:
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from prtnet.arrays import FloatArray
+from prtnet.arrays import FloatArray, IntArray
 from prtnet.axis_frames import frame_about
 from prtnet.brdf import mirrored
-from prtnet.errors import PrtnetError
+from prtnet.one_dimensional import OneDimensional
 from prtnet.phong import phong_transfer, phong_zonal
 from prtnet.reflection import local_view
 from prtnet.sh import lower_hemisphere
@@ -40,44 +39,15 @@ from prtnet.zh import Lobes
 
 __all__ = [
     "LobeSide",
-    "OneDimensional",
+    "LobeSubject",
     "above_horizon",
     "lobe_radiance",
     "one_dimensional_radiance",
+    "side_radiance",
     "unshadowed_radiance",
 ]
 
-Colour = tuple[float, float, float] | float
 BLOCK = 1 << 12  # vertices at a time
-
-
-@dataclass(frozen=True)
-class OneDimensional:
-    """A normalised Phong lobe over a diffuse, translucent membrane; linear RGB, or greys.
-
-    No light is made where the three together are at most 1.
-
-    Attributes:
-        diffuse: part of the light from the front that leaves the front diffusely.
-        specular: part that the lobe about the mirrored view reflects.
-        exponent: of the lobe, any real α ≥ 0.
-        transmitted: part of the light from behind that leaves the front; the α of [2, eq. 22]
-            times its albedo.
-    """
-
-    diffuse: Colour = 0.3
-    specular: Colour = 0.4
-    exponent: float = 20.0
-    transmitted: Colour = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse what no surface has."""
-        for field in dataclasses.fields(self):
-            values = np.asarray(getattr(self, field.name), dtype=np.float64)
-            most = math.inf if field.name == "exponent" else 1.0
-            if not (np.isfinite(values) & (values >= 0.0) & (values <= most)).all():
-                between = "finite, at least 0" if field.name == "exponent" else "from 0 to 1"
-                raise PrtnetError("1D BRDF", f"{field.name} must be {between}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +62,28 @@ class LobeSide:
 
     visibility: Lobes
     frames: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class LobeSubject:
+    """A mesh to be shaded, in world space.
+
+    Attributes:
+        positions: vertices, (V, 3) metres.
+        faces: triangles, (T, 3), counter-clockwise from the front.
+        front: of every vertex.
+        back: likewise; None for the same as the front, and then it shadows nothing.
+    """
+
+    positions: FloatArray
+    faces: IntArray
+    front: LobeSide
+    back: LobeSide | None = None
+
+    @property
+    def sides(self) -> tuple[LobeSide, ...]:
+        """The front, and the back if it is another."""
+        return (self.front,) if self.back is None else (self.front, self.back)
 
 
 def above_horizon(visibility: Lobes) -> Lobes:
@@ -201,6 +193,17 @@ def one_dimensional_radiance(
             through = lobe_radiance(*part_of(behind, part, light), up, 1.0)
         result[part] = total + material.transmitted * through
     return result
+
+
+def side_radiance(
+    subject: LobeSubject, eye: FloatArray, light: Lobes, material: OneDimensional
+) -> list[FloatArray]:
+    """What an eye sees of every side, (V, 3) each; either shadows what the other lets through."""
+    others = (None,) if subject.back is None else (subject.back, subject.front)
+    return [
+        one_dimensional_radiance(subject.positions, side, eye, light, material, other)
+        for side, other in zip(subject.sides, others, strict=True)
+    ]
 
 
 def part_of(side: LobeSide, part: slice, light: Lobes) -> tuple[Lobes, Lobes]:

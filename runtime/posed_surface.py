@@ -10,10 +10,19 @@ from prtnet.arrays import FloatArray, IntArray
 from prtnet.dataset import Dataset
 from prtnet.frames import orthonormal_frames
 from prtnet.modelled_scene import ModelledScene
+from prtnet.zh import Lobes
+from runtime.one_dimensional import LobeSide, LobeSubject
 from runtime.reflected import Side, Subject
 from runtime.shading import Surface, world_transfer
 
-__all__ = ["coloured_surface", "posed_subject", "recorded_surface", "seeing", "sides"]
+__all__ = [
+    "coloured_surface",
+    "lobed_subject",
+    "posed_subject",
+    "recorded_surface",
+    "seeing",
+    "sides",
+]
 
 
 def posed_subject(
@@ -48,6 +57,16 @@ def seeing(actor: ModelledScene, subject: Subject, visibility: FloatArray) -> Su
     )
     assert front is not None
     return dataclasses.replace(subject, front=front, back=back)
+
+
+def lobed_subject(actor: ModelledScene, subject: Subject, lobes: Lobes) -> LobeSubject:
+    """The same pose with visibility of receivers as lobes, axes (V, c, 3)."""
+    front, back = (
+        None if side is None else LobeSide(lobes[receivers], side.frames)
+        for receivers, side in zip(sides(actor), (subject.front, subject.back), strict=True)
+    )
+    assert front is not None
+    return LobeSubject(subject.positions, subject.faces, front, back)
 
 
 def coloured_surface(actor: ModelledScene, positions: FloatArray, colours: FloatArray) -> Surface:

@@ -13,15 +13,23 @@ from prtnet.brdf import BRDF
 from prtnet.environment import Environment
 from prtnet.materials import brdf_named, material
 from prtnet.modelled_scene import ModelledScene
+from prtnet.one_dimensional import OneDimensional
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
 from runtime.camera import Camera
 from runtime.cast import Radiance
-from runtime.draw import Renderer, render_colours, render_material
+from runtime.draw import Renderer, render_colours, render_lobes, render_material
 from runtime.error_pictures import error_scale, vertex_error
-from runtime.looks import cut_visibility, heat_colours, open_visibility, white_light
+from runtime.looks import (
+    cut_lobes,
+    cut_visibility,
+    heat_colours,
+    open_visibility,
+    shaded_lobes,
+    white_light,
+)
 from runtime.picture import auto_exposure, develop, laid_over
-from runtime.posed_surface import coloured_surface, posed_subject, seeing
+from runtime.posed_surface import coloured_surface, lobed_subject, posed_subject, seeing
 from runtime.reflected import Subject
 from runtime.vertex_sphere import inset_of, receiver_at
 from runtime.view import UNLIT, Mode
@@ -56,6 +64,11 @@ class Posed:
         return self.actor.model(self.pose)[0]
 
     @cached_property
+    def predicted_lobes(self) -> Lobes:
+        """The same as lobes (V, c), of models that predict those."""
+        return self.actor.model.lobes_of(self.pose)[0]
+
+    @cached_property
     def visibility(self) -> FloatArray:
         """The traced one, (V, n²)."""
         return self.trace(self.pose)
@@ -71,7 +84,7 @@ class Shot:
         light: what shines on it.
         lobes: the light as a shader takes it.
         brdf: the material.
-        operator: the material as a shader takes it.
+        operator: the material as a shader takes it; None for one that lobes are shaded with.
         size: of the picture, in pixels.
         order: bands of light and visibility that are shown; 0 for all.
     """
@@ -81,29 +94,39 @@ class Shot:
     light: Environment
     lobes: Lobes
     brdf: BRDF
-    operator: ReflectionOperator
+    operator: ReflectionOperator | None
     size: tuple[int, int]
     order: int = 0
 
     def draw(self, renderer: Renderer, mode: Mode) -> FloatArray:
         """The picture, (H, W, 4) linear."""
         posed, lobes, operator = self.posed, self.lobes, self.operator
-        actor = posed.actor
+        actor, order = posed.actor, posed.actor.model.order
         if mode in ("truth", "error"):
             colours = self._radiance() if mode == "truth" else self._heat()
             surface = coloured_surface(actor, posed.subject.positions, colours)
             return render_colours(renderer, surface, self.camera, self.size)
+        if isinstance(self.brdf, OneDimensional) and mode != "ambient":
+            seen = posed.predicted_lobes if mode == "prediction" else self._visibility(mode)
+            lobed = lobed_subject(actor, posed.subject, shaded_lobes(seen, self.order))
+            cut = cut_lobes(lobes, self.order)
+            return render_lobes(renderer, lobed, cut, self.brdf, self.camera, self.size)
         if mode == "ambient":
-            lobes = white_light(operator.order)
-            operator = material(brdf_named("matte"), order=operator.order)
-        if mode == "open":
-            visibility = open_visibility(len(actor.receivers), operator.order)
-        else:
-            visibility = posed.visibility if mode == "visibility" else posed.predicted
+            lobes = white_light(order)
+            operator = material(brdf_named("matte"), order=order)
+        assert operator is not None
+        visibility = self._visibility(mode)
         subject = seeing(actor, posed.subject, visibility)
         return render_material(
             renderer, subject, lobes, operator, self.camera, self.size, order=self.order
         )
+
+    def _visibility(self, mode: Mode) -> FloatArray:
+        """What is shaded with, (V, n²), all bands."""
+        if mode == "open":
+            actor = self.posed.actor
+            return open_visibility(len(actor.receivers), actor.model.order)
+        return self.posed.visibility if mode == "visibility" else self.posed.predicted
 
     def _radiance(self) -> FloatArray:
         """Light traced without limits of bands, factors or lobes, (V, 3)."""

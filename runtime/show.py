@@ -19,6 +19,7 @@ from prtnet.arrays import FloatArray
 from prtnet.brdf import BRDF, Lambert
 from prtnet.environment import Environment, about_up
 from prtnet.materials import brdf_named, material
+from prtnet.one_dimensional import OneDimensional
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
 from runtime.background import Background
@@ -27,18 +28,27 @@ from runtime.cast import Cast
 from runtime.crowd import crowd_places, crowd_poses, elbow_room
 from runtime.error_pictures import error_scale, vertex_error
 from runtime.looks import (
+    cut_lobes,
     cut_visibility,
     heat_colours,
     lobes_of,
     open_visibility,
+    shaded_lobes,
     white_light,
 )
 from runtime.memory import gpu_bytes, resident_bytes
+from runtime.one_dimensional_stage import OneDimensionalStage
 from runtime.overlay import Overlay
 from runtime.painted import Painted
 from runtime.pick import picked
 from runtime.picture import auto_exposure
-from runtime.posed_surface import coloured_surface, posed_subject, seeing, sides
+from runtime.posed_surface import (
+    coloured_surface,
+    lobed_subject,
+    posed_subject,
+    seeing,
+    sides,
+)
 from runtime.reflected import Subject
 from runtime.screen import Screen
 from runtime.stage import Stage
@@ -83,6 +93,7 @@ class Show:
         self._posed: tuple[Any, FloatArray] | None = None
         self._subject: tuple[Any, Subject] | None = None
         self._predicted: tuple[Any, FloatArray] | None = None
+        self._own_lobes: tuple[Any, Lobes] | None = None
         self._traced: tuple[Any, FloatArray] | None = None
         self._inset: tuple[Any, list[tuple[FloatArray, tuple[int, int]]]] | None = None
         self._crowd: tuple[Any, FloatArray, list[Subject]] | None = None
@@ -92,6 +103,7 @@ class Show:
         self._matte = material(brdf_named("matte"), order=self.order)
         self._made: list[Any] = []
         self.rebuilt: Stage | None = None
+        self.lobed: dict[int, OneDimensionalStage] = {}  # by the number of lobes
         try:
             self.stage = self._keep(Stage(context, self.order))
             self.screen = self._keep(Screen(context))
@@ -122,9 +134,9 @@ class Show:
         """Give everything back but the context; what is being traced is waited for."""
         for task in (self._truth, self._radiance, self._material):
             task.release()
-        for held in self._made:
+        for held in (*self._made, *self.lobed.values()):
             held.release()
-        self._made = []
+        self._made, self.lobed = [], {}
 
     def memory(self) -> dict[str, int]:
         """Bytes by what takes them: the model's file, parts of the GPU's memory, the process."""
@@ -132,6 +144,8 @@ class Show:
         for name, held in (("latents", self.rebuilt), ("visibility", self.stage)):
             if held is not None:
                 found[f"GPU {name}"] = gpu_bytes(held.resources)
+        lobed = sum(gpu_bytes(held.resources) for held in self.lobed.values())
+        found["GPU lobes"] = lobed
         found["GPU picture"] = gpu_bytes(self.screen.resources)
         found["process"] = resident_bytes()
         return {name: count for name, count in found.items() if count}
@@ -181,6 +195,10 @@ class Show:
         """One side of the split; nothing where the truth is not known yet."""
         matrix = camera.matrix(size[0] / size[1])
         eye = np.asarray(camera.eye)
+        brdf = self.brdf(view)
+        if isinstance(brdf, OneDimensional) and mode in ("prediction", "visibility", "open"):
+            self._draw_lobes(mode, brdf, view, frame, matrix, eye)
+            return
         if mode == "prediction" and self.rebuilt is not None:
             self._draw_latents(self.rebuilt, view, frame, matrix, eye)
             return
@@ -258,6 +276,40 @@ class Show:
         self._count(**stage.milliseconds)
         for other, place, own in self.others(view, self._for_shader):
             stage.show_latents(other, own[0], receivers, own[1])
+            stage.draw(frame, matrix @ moved(place), eye - place)
+            self._count(**stage.milliseconds)
+
+    def _draw_lobes(
+        self,
+        mode: Mode,
+        brdf: OneDimensional,
+        view: View,
+        frame: Any,
+        matrix: FloatArray,
+        eye: FloatArray,
+    ) -> None:
+        """Visibility as lobes, of a 1D BRDF."""
+        if mode == "prediction":
+            seen: Any = self._lobes(view)
+        else:
+            seen = self._visibility(mode, view)
+        if seen is None:
+            return
+        shown = shaded_lobes(seen, view.order)
+        count = shown.axes.shape[1]
+        if count not in self.lobed:
+            self.lobed[count] = OneDimensionalStage(self.context, self.order, count)
+        stage = self.lobed[count]
+        stage.light(cut_lobes(self.lit(view), view.order))
+        stage.material(brdf)
+        stage.show(lobed_subject(self.actor, self.subject(view), shown))
+        stage.draw(frame, matrix, eye)
+        self._count(**stage.milliseconds)
+        if mode == "visibility":
+            return
+        for other, place, own in self.others(view, self._lobes_of):
+            lobes = shown if mode == "open" else shaded_lobes(own, view.order)
+            stage.show(lobed_subject(self.actor, other, lobes))
             stage.draw(frame, matrix @ moved(place), eye - place)
             self._count(**stage.milliseconds)
 
@@ -358,6 +410,20 @@ class Show:
         (latents, occluders), *_ = self._for_shader(self.pose(view))
         return self.rebuilt.visibility_of(receiver, latents, occluders)
 
+    def _lobes(self, view: View) -> Lobes:
+        """Its predicted visibility as lobes, (V, c)."""
+        if self._own_lobes is None or self._own_lobes[0] != view.moments:
+            pose = self.pose(view)
+            started = clock.perf_counter()
+            self._own_lobes = view.moments, self.actor.model.lobes_of(pose)[0]
+            self._count(model=1e3 * (clock.perf_counter() - started))
+        return self._own_lobes[1]
+
+    def _lobes_of(self, poses: FloatArray) -> list[Lobes]:
+        """The same of other poses."""
+        found = self.actor.model.lobes_of(poses)
+        return [found[pose] for pose in range(len(poses))]
+
     def truth(self, view: View, wait: bool = False) -> FloatArray | None:
         """The true visibility (V, n²) of the pose, traced in the background; None until then.
 
@@ -389,7 +455,8 @@ class Show:
 
     def settle(self, view: View) -> None:
         """Wait for everything that a view needs; nothing of it is then missing or old."""
-        self.operator(view, wait=True)
+        if not isinstance(self.brdf(view), OneDimensional):
+            self.operator(view, wait=True)
         if {"visibility", "error"} & set(view.modes):
             self.truth(view, wait=True)
         if "truth" in view.modes:
@@ -402,7 +469,7 @@ class Show:
             PrtnetError: there is none of that name.
         """
         if self._brdf is None or self._brdf[0] != view.brdf:
-            self._brdf = view.brdf, brdf_named(view.brdf)
+            self._brdf = view.brdf, brdf_named(view.brdf, bool(self.actor.model.lobes))
         return self._brdf[1]
 
     def operator(self, view: View, wait: bool = False) -> ReflectionOperator:

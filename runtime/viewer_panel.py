@@ -6,7 +6,9 @@ import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from prtnet.materials import OF_LOBES
 from prtnet.merl import Measured
+from prtnet.one_dimensional import OneDimensional
 from runtime.crowd import MOST
 from runtime.view import MODES
 
@@ -17,6 +19,7 @@ __all__ = ["Panel"]
 
 RANGES = {"exponent": (1.0, 200.0), "along": (1.0, 200.0), "across": (1.0, 200.0)}
 """Of parameters that are not between 0 and 1."""
+LIVE_RANGE = 0.0, 1000.0  # of an exponent that needs no table
 NONE = "none"
 
 
@@ -111,10 +114,13 @@ class Panel:
         """Which BRDF, its parameters, of how many factors."""
         imgui, view = self.imgui, self.viewer.view
         name = view.brdf.partition(":")[0]
-        chosen = self.choose("BRDF", name, self.viewer.desk.brdfs)
+        lobed = OF_LOBES if self.viewer.show.actor.model.lobes else ()
+        chosen = self.choose("BRDF", name, [*self.viewer.desk.brdfs, *lobed])
         if chosen != name:
             self.viewer.change("brdf", chosen)
         self.parameters()
+        if isinstance(self.viewer.show.brdf(view), OneDimensional):
+            return  # it is no product of factors
         always = imgui.SliderFlags_.always_clamp
         _, view.factors = imgui.slider_int("factors", view.factors, 1, 16, "%d", always)
 
@@ -169,6 +175,8 @@ class Panel:
         for field in dataclasses.fields(brdf):  # type: ignore[arg-type]
             value = getattr(brdf, field.name)
             low, high = RANGES.get(field.name, (0.0, 1.0))
+            if isinstance(brdf, OneDimensional) and high > 1.0:
+                low, high = LIVE_RANGE
             flags = imgui.SliderFlags_.always_clamp
             if isinstance(value, tuple):
                 changed, new = imgui.color_edit3(

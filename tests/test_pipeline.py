@@ -268,11 +268,31 @@ def test_render_of_a_material_beside_its_truth(work: Path, tmp_path: Path, rende
     assert 0 < errors["visibility"] < errors["truth"] < 15
 
 
+@pytest.mark.parametrize("renderer", ["cpu", pytest.param("gl", marks=pytest.mark.gl)])
+def test_lobes_have_an_exponent_of_their_own(work: Path, tmp_path: Path, renderer: str) -> None:
+    """A model of lobes, its material beside what rays say of it; not of light through a body."""
+    model, report = tmp_path / "lobes.safetensors", tmp_path / "frame.json"
+    fit = ("--kind", "lobes", "--lobes", "2", "--clusters", "6", "--threads", "1", "--quiet")
+    prtnet("train", work / "arm.zarr", "--out", model, *fit)
+    options = ("--time", "2", "--size", "80x60", "--rays", "64", "--quiet", "--renderer", renderer)
+    look = ("--brdf", "lobe:exponent=4.5", "--light", "sky", "--light-turn", "90")
+    for kind in ("truth", "visibility"):
+        out = ("--out", tmp_path / f"{kind}.png", "--json", report, "--compare", kind)
+        prtnet("render", model, work / "arm.glb", *out, *look, *options)
+        facts = json.loads(report.read_text())
+        assert facts["brdf"] == "lobe:exponent=4.5"
+        assert 0 < facts["error_in_per_cent_of_white"]["rms"] < 12
+    through = ("--out", tmp_path / "x.png", "--compare", "truth", "--brdf", "lobe:transmitted=0.2")
+    words = ("render", model, work / "arm.glb", *through, *options)
+    assert cli.run([str(word) for word in words]) == 2
+
+
 @pytest.mark.parametrize(
     ("option", "value", "told"),
     [
         ("--brdf", "gild", "did you mean 'gold'"),
         ("--brdf", "ggx:roughness=7", "at most 1"),
+        ("--brdf", "lobe", "of models that --kind lobes trained"),
         ("--light", "moon", "neither a file nor a preset"),
         ("--lobes", "-1", "at least 0"),
         ("--lobes", "12", "at most 11"),

@@ -10,12 +10,12 @@ import pytest
 
 from prtnet import sh
 from prtnet.axis_frames import frame_about
+from prtnet.one_dimensional import OneDimensional
 from prtnet.phong import phong_matrix, phong_transfer, phong_zonal
 from prtnet.sh_rotation import rotate
 from prtnet.zh import Lobes
 from runtime.one_dimensional import (
     LobeSide,
-    OneDimensional,
     above_horizon,
     lobe_radiance,
     one_dimensional_radiance,

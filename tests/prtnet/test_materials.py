@@ -9,6 +9,7 @@ from prtnet.environment import environment
 from prtnet.errors import PrtnetError
 from prtnet.factors import factorise, harmonic_factors, symmetries, tabulate
 from prtnet.materials import BRDFS, PRESETS, SAMPLES, brdf_named, material
+from prtnet.one_dimensional import OneDimensional
 from prtnet.reflection import operator_of, reflection_operator
 
 
@@ -34,6 +35,8 @@ def test_names_stand_for_brdfs_and_their_parameters():
         ("ggx:roughness=0.1/0.2/0.3", "is one number, no colour"),
         ("x" * 5000, "neither a BRDF nor a file"),
         ("phong:exponent=nan", "must be finite"),
+        ("lobe", "of models that --kind lobes trained"),
+        ("lobe:exponent=3", "of visibility in zonal lobes"),
         ("missing.binary", "does not exist"),
         ("pyproject.toml", "is no MERL file"),
     ],
@@ -41,6 +44,16 @@ def test_names_stand_for_brdfs_and_their_parameters():
 def test_what_stands_for_nothing_is_said(text, told):
     with pytest.raises(PrtnetError, match=told):
         brdf_named(text)
+
+
+def test_lobes_have_a_material_of_their_own():
+    found = brdf_named("lobe:exponent=7.5,transmitted=0.1/0.2/0.3", of_lobes=True)
+    assert found == OneDimensional(exponent=7.5, transmitted=(0.1, 0.2, 0.3))
+    assert brdf_named("gold", of_lobes=True) == PRESETS["gold"]
+    with pytest.raises(PrtnetError, match="did you mean 'lobe'"):
+        brdf_named("lobes", of_lobes=True)
+    with pytest.raises(PrtnetError, match="transmitted must be at most 1"):
+        brdf_named("lobe:transmitted=1.5", of_lobes=True)
 
 
 @pytest.mark.parametrize("order", [1, 2, 4, 6])

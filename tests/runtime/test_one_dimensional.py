@@ -14,13 +14,13 @@ from prtnet.axis_frames import frame_about
 from prtnet.brdf import BRDF, Phong, mirrored
 from prtnet.errors import PrtnetError
 from prtnet.factors import harmonic_factors, tabulate
+from prtnet.one_dimensional import OneDimensional
 from prtnet.phong import phong_matrix
 from prtnet.reflection import ReflectionOperator, local_view, operator_of
 from prtnet.sh_rotation import rotate
 from prtnet.zh import Lobes, exact_lobes
 from runtime.one_dimensional import (
     LobeSide,
-    OneDimensional,
     above_horizon,
     lobe_radiance,
     one_dimensional_radiance,
@@ -226,7 +226,7 @@ def test_the_horizon_darkens_oblique_views():
 
 def test_bad_input_is_told():
     for changed in ({"diffuse": -0.1}, {"specular": 1.5}, {"transmitted": (0.0, 2.0, 0.0)}):
-        with pytest.raises(PrtnetError, match=r"1D BRDF: .* must be from 0 to 1"):
+        with pytest.raises(PrtnetError, match=r"BRDF lobe: .* must be .*at (least 0|most 1)"):
             OneDimensional(**changed)
     for alpha in (-1.0, math.nan, math.inf):
         with pytest.raises(PrtnetError, match="exponent must be finite, at least 0"):

@@ -12,13 +12,13 @@ import pytest
 
 from prtnet.axis_frames import frame_about
 from prtnet.glsl import harmonics_glsl
+from prtnet.one_dimensional import OneDimensional
 from prtnet.phong import phong_transfer, phong_zonal
 from prtnet.zh import Lobes, exact_lobes
 from runtime.gl import create_context
 from runtime.material_shader import most_lobes
 from runtime.one_dimensional import (
     LobeSide,
-    OneDimensional,
     above_horizon,
     one_dimensional_radiance,
 )

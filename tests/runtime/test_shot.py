@@ -10,13 +10,14 @@ from prtnet.cli_render import tracers
 from prtnet.environment import environment
 from prtnet.materials import brdf_named, material
 from prtnet.modelled_scene import ModelledScene
+from prtnet.one_dimensional import OneDimensional
 from runtime.cast import Cast
 from runtime.draw import opened
 from runtime.gl import create_context
 from runtime.looks import lobes_of
 from runtime.shot import Posed, Shot
 from runtime.show import Show
-from runtime.view import MODES, View, framing
+from runtime.view import MODES, Mode, View, framing
 from tests.runtime.test_posed_surface import modelled
 
 SIZE = (120, 90)
@@ -31,11 +32,13 @@ def actor(request: pytest.FixtureRequest) -> ModelledScene:
 def shot_of(actor: ModelledScene, view: View, show: Show) -> Shot:
     """What ``prtnet render`` makes of the same options, from where the viewer's camera is."""
     order = actor.model.order
-    light, brdf = environment(view.light).turned(view.light_turn), brdf_named(view.brdf)
+    light = environment(view.light).turned(view.light_turn)
+    brdf = brdf_named(view.brdf, bool(actor.model.lobes))
+    lobed = isinstance(brdf, OneDimensional)
     return Shot(
         Posed(actor, view.pose(actor), *tracers(actor, RAYS, 1)), show.camera(view), light,
-        lobes_of(light.harmonics(order), view.lobes), brdf, material(brdf, view.factors, order),
-        SIZE, view.order,
+        lobes_of(light.harmonics(order), view.lobes), brdf,
+        None if lobed else material(brdf, view.factors, order), SIZE, view.order,
     )  # fmt: skip
 
 
@@ -43,7 +46,21 @@ def shot_of(actor: ModelledScene, view: View, show: Show) -> Shot:
 @pytest.mark.parametrize("mode", MODES)
 def test_both_draw_every_mode_alike(actor, mode):
     """Fewer bands, a blended pose, a turned light, a vertex's sphere: in everything there is."""
-    view = View("bend", 1.5, "bend", 3.0, 0.4, light_turn=70.0, lobes=0, brdf="phong", left=mode,
+    alike(actor, mode, "phong")
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("two_sided", [False, True])
+def test_both_draw_lobes_alike(mode, two_sided):
+    words = "lobe:exponent=3.5,diffuse=0.3/0.2/0.1"
+    words += ",transmitted=0.3" if two_sided or mode != "truth" else ""
+    alike(modelled(arm(segments=6), two_sided, lobes=2), mode, words)
+
+
+def alike(actor: ModelledScene, mode: Mode, brdf: str) -> None:
+    """What a viewer draws is what is drawn without one."""
+    view = View("bend", 1.5, "bend", 3.0, 0.4, light_turn=70.0, lobes=0, brdf=brdf, left=mode,
                 order=2, distance=0.7)  # fmt: skip
     context = create_context()
     with context:

@@ -547,6 +547,39 @@ def test_the_command_opens_what_it_is_given(window, tmp_path, monkeypatch, kind)
         opened_viewer(dataclasses.replace(options, clip="bnd"), 1, lambda _: None)
 
 
+def test_the_exponent_of_lobes_is_live(window, tmp_path, monkeypatch):
+    """A slider's next value is a uniform; fewer bands, the truth and a crowd go along."""
+    actor = modelled(arm(segments=6), two_sided=True, lobes=2)
+    window.use()
+    view = View("bend", brdf="lobe:exponent=4,transmitted=0.2")
+    desk = Desk(["studio"], ["matte"], tmp_path, lambda _: None, lambda *_: cast(),
+                Path("a.safetensors"), Path("a.glb"))  # fmt: skip
+    found = Viewer(window, Show(window.ctx, cast(actor), environment), view, desk)
+    found.view.playing = False
+    found.step(0.0)
+    first = read(found)
+    monkeypatch.setattr(type(window.ctx), "program", None)
+    found.change("brdf", "lobe:exponent=40,transmitted=0.2")
+    assert np.abs(read(found) - first).max() > 10
+    found.view.order = 2
+    few = read(found)
+    assert np.abs(few - first).max() > 3
+    found.view.order, found.view.copies, found.view.distance = 0, 3, 3.0
+    crowd = read(found)
+    found.view.copies = 1
+    assert np.abs(crowd - read(found)).max() > 20
+    assert found.show.memory()["GPU lobes"] > 0
+    found.step(0.02)
+    assert "upload" in found.show.milliseconds
+    found.release()
+
+
+def test_models_without_lobes_have_no_such_material(viewer):
+    viewer.change("brdf", "lobe")
+    assert "of models that --kind lobes trained" in viewer.message
+    assert viewer.view.brdf == "phong"
+
+
 def test_a_turntable_is_a_row_of_pictures(viewer, tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "TURNTABLE", 3)
     viewer.step(0.0)
