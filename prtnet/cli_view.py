@@ -41,9 +41,10 @@ def opened_viewer(
         PrtnetError: model and scene do not belong together, there is no such clip, light or
             material, or no window can be opened.
     """
+    from runtime.base_viewer import open_window
     from runtime.show import Show
     from runtime.view import View
-    from runtime.viewer import Desk, Viewer, open_window
+    from runtime.viewer import Desk, Viewer
 
     environments = functools.cache(environment)
     environments(options.light)
@@ -63,7 +64,7 @@ def opened_viewer(
         view.blend_clip, view.blend_time, view.blend = blend
         view.pose(cast.actor)
     desk = Desk(
-        list(LIGHTS), [*MATERIALS, *BRDFS], options.out, say, cast_files, options.model,
+        list(LIGHTS), options.out, say, [*MATERIALS, *BRDFS], cast_files, options.model,
         options.scene,
     )  # fmt: skip
     window = open_window(f"prtnet: {options.model.name}", options.size, visible)

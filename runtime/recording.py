@@ -1,4 +1,4 @@
-"""What a viewer saves: a picture, a turntable as pictures or a movie, a movie of the clip.
+"""What a viewer saves: a picture, a turntable as pictures or a movie, a movie of what moves.
 
 Each is made a picture a step, so that the window goes on answering; the view is then as it was.
 """
@@ -8,15 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from runtime.movie import movie
 from runtime.picture import save_png
 
 if TYPE_CHECKING:
-    from runtime.viewer import Viewer
+    from runtime.base_viewer import BaseViewer
+
+    AnyViewer = BaseViewer[Any, Any, Any]
 
 __all__ = ["clip_movie", "free_name", "picture", "turntable", "turntable_movie"]
 
@@ -33,14 +33,14 @@ def free_name(folder: Path, kind: str, suffix: str) -> Path:
     return folder / f"{kind}_{number:03d}{suffix}"
 
 
-def picture(viewer: Viewer) -> Iterator[str]:
+def picture(viewer: AnyViewer) -> Iterator[str]:
     """One picture of the view as it is."""
     path = free_name(viewer.desk.out, "picture", ".png")
     save_png(path, viewer.pixels())
     yield f"saved {path}"
 
 
-def turns(viewer: Viewer, count: int) -> Iterator[int]:
+def turns(viewer: AnyViewer, count: int) -> Iterator[int]:
     """The view from all around, a step at a time; it is then where it was."""
     start = viewer.view.azimuth
     try:
@@ -51,7 +51,7 @@ def turns(viewer: Viewer, count: int) -> Iterator[int]:
         viewer.view.azimuth = start
 
 
-def turntable(viewer: Viewer) -> Iterator[str]:
+def turntable(viewer: AnyViewer) -> Iterator[str]:
     """Pictures from all around."""
     first = free_name(viewer.desk.out, "turn", ".png")
     for number in turns(viewer, TURNTABLE):
@@ -60,7 +60,7 @@ def turntable(viewer: Viewer) -> Iterator[str]:
         yield f"saved {path}"
 
 
-def turntable_movie(viewer: Viewer) -> Iterator[str]:
+def turntable_movie(viewer: AnyViewer) -> Iterator[str]:
     """The same as a movie."""
     path = free_name(viewer.desk.out, "turn", ".mp4")
     with movie(path, FPS) as add:
@@ -70,21 +70,11 @@ def turntable_movie(viewer: Viewer) -> Iterator[str]:
     yield f"saved {path}"
 
 
-def clip_movie(viewer: Viewer) -> Iterator[str]:
-    """The clip from its start to its end; what it is blended with goes on, too."""
+def clip_movie(viewer: AnyViewer) -> Iterator[str]:
+    """All that moves, from its start to its end."""
     path = free_name(viewer.desk.out, "clip", ".mp4")
-    view, actor = viewer.view, viewer.show.actor
-    kept = view.time, view.blend_time
-    clip = actor.scene.clip(view.clip)
-    steps = np.diff(clip.times(FPS), prepend=clip.start).tolist()
-    view.time = clip.start
-    try:
-        with movie(path, FPS) as add:
-            for number, step in enumerate(steps):
-                view.time = min(view.time + step, clip.end)
-                view.advance_blend(actor, step)
-                add(viewer.pixels())
-                yield f"{number + 1} of {len(steps)} pictures (Esc: stop)"
-        yield f"saved {path}"
-    finally:
-        view.time, view.blend_time = kept
+    with movie(path, FPS) as add:
+        for number, count in viewer.show.through(viewer.view, FPS):
+            add(viewer.pixels())
+            yield f"{number + 1} of {count} pictures (Esc: stop)"
+    yield f"saved {path}"

@@ -1,14 +1,14 @@
 """What a viewer shows, without a window: a character, a light, a material, and ways to look at it.
 
 All that an interactive view changes is in a :class:`runtime.view.View`; a :class:`Show` turns it
-into a picture on any OpenGL context. Windows and command lines only change the view.
+into a picture on any OpenGL context.
 """
 
 from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -36,12 +36,10 @@ from runtime.looks import (
     shaded_lobes,
     white_light,
 )
-from runtime.memory import gpu_bytes, resident_bytes
+from runtime.memory import gpu_bytes
 from runtime.one_dimensional_stage import OneDimensionalStage
-from runtime.overlay import Overlay
 from runtime.painted import Painted
 from runtime.pick import picked
-from runtime.picture import auto_exposure
 from runtime.posed_surface import (
     coloured_surface,
     lobed_subject,
@@ -50,17 +48,17 @@ from runtime.posed_surface import (
     sides,
 )
 from runtime.reflected import Subject
-from runtime.screen import Screen
+from runtime.sight import Sight
 from runtime.stage import Stage
 from runtime.vertex_sphere import inset_of, receiver_at
-from runtime.view import UNLIT, Mode, View, framing
+from runtime.view import UNLIT, View, framing
 
 __all__ = ["Show"]
 
 T = TypeVar("T")
 
 
-class Show:
+class Show(Sight[View]):
     """Draws a view of a character.
 
     Args:
@@ -69,21 +67,17 @@ class Show:
         environments: lights by name.
 
     Attributes:
-        milliseconds: of the stages of the last frame, by name.
-        exposures: by light, each chosen by the first picture under it.
         error_top: what is at the end of the error's colours, per cent of an open vertex.
     """
+
+    unlit = UNLIT
 
     def __init__(
         self, context: moderngl.Context, cast: Cast, environments: Callable[[str], Environment]
     ) -> None:
-        self.context, self.cast, self.environments = context, cast, environments
-        self.actor = cast.actor
+        self.cast, self.actor = cast, cast.actor
         self.order = cast.actor.model.order
-        self.milliseconds: dict[str, float] = {}
-        self.exposures: dict[str, float] = {}
         self.error_top = 0.0
-        self.framing: Camera | None = None
         self._truth: Background[FloatArray] = Background()
         self._radiance: Background[FloatArray] = Background()
         self._material: Background[ReflectionOperator] = Background()
@@ -101,91 +95,84 @@ class Show:
         self._room = elbow_room(self.actor)
         self._white = white_light(self.order)
         self._matte = material(brdf_named("matte"), order=self.order)
-        self._made: list[Any] = []
         self.rebuilt: Stage | None = None
         self.lobed: dict[int, OneDimensionalStage] = {}  # by the number of lobes
+        super().__init__(context, environments)
         try:
-            self.stage = self._keep(Stage(context, self.order))
-            self.screen = self._keep(Screen(context))
-            self.painted = self._keep(Painted(context))
-            self.overlay = self._keep(Overlay(context))
+            self.stage = self.keep(Stage(context, self.order))
+            self.painted = self.keep(Painted(context))
             if cast.latents is not None:
-                self.rebuilt = self._keep(Stage(context, self.order, cast.latents[1]))
+                self.rebuilt = self.keep(Stage(context, self.order, cast.latents[1]))
         except BaseException:
             self.release()
             raise
 
-    def _keep(self, made: Any) -> Any:
-        """Something to be given back in the end."""
-        self._made.append(made)
-        return made
-
     @property
-    def waiting(self) -> str:
-        """What is being made in the background, in words; empty where nothing is."""
-        tasks: dict[str, Background[Any]] = {
+    def tasks(self) -> Mapping[str, Background[Any]]:
+        """What is traced and made."""
+        return {
             "tracing visibility": self._truth,
             "tracing the truth": self._radiance,
             "making the material": self._material,
         }
-        return ", ".join(what for what, task in tasks.items() if task.busy)
 
-    def release(self) -> None:
-        """Give everything back but the context; what is being traced is waited for."""
-        for task in (self._truth, self._radiance, self._material):
-            task.release()
-        for held in (*self._made, *self.lobed.values()):
-            held.release()
-        self._made, self.lobed = [], {}
-
-    def memory(self) -> dict[str, int]:
-        """Bytes by what takes them: the model's file, parts of the GPU's memory, the process."""
+    def parts(self) -> dict[str, int | None]:
+        """Bytes of the model's file, and of what it needs on the GPU."""
         found = {"model file": self.cast.model_bytes}
         for name, held in (("latents", self.rebuilt), ("visibility", self.stage)):
             if held is not None:
                 found[f"GPU {name}"] = gpu_bytes(held.resources)
-        lobed = sum(gpu_bytes(held.resources) for held in self.lobed.values())
-        found["GPU lobes"] = lobed
-        found["GPU picture"] = gpu_bytes(self.screen.resources)
-        found["process"] = resident_bytes()
-        return {name: count for name, count in found.items() if count}
+        found["GPU lobes"] = sum(gpu_bytes(held.resources) for held in self.lobed.values())
+        return found
+
+    def framed(self, view: View) -> Camera:
+        """Sees the first clip."""
+        return framing(self.actor, view.clip)
 
     def camera(self, view: View) -> Camera:
-        """Where a view is from: what frames the first clip, walked around."""
-        if self.framing is None:
-            self.framing = framing(self.actor, view.clip)
-        camera = view.camera(self.framing)
+        """Where a view is from; it sees as far as the last of a crowd."""
+        camera = super().camera(view)
         behind = math.sqrt(2.0 * view.copies) * self._room
         return camera if view.copies == 1 else replace(camera, far=camera.far + behind)
 
-    def draw(self, view: View, size: tuple[int, int], target: Any) -> None:
-        """Draw a view into a framebuffer of this size."""
-        started = clock.perf_counter()
-        self.milliseconds = {}
-        camera = self.camera(view)
-        frame = self.screen.clear(size)
-        split = round(min(max(view.split, 0.0), 1.0) * size[0])
-        exposure = self.exposures.get(view.light, 1.0) * 2.0**view.exposure
-        for mode, left, width in (
-            (view.left, 0, split),
-            (view.right, split, size[0] - split),
-        ):
-            if width > 0:
-                frame.scissor = (left, 0, width, size[1])
-                self._draw(mode, view, camera, size, frame, exposure)
-        frame.scissor = None
-        if view.light not in self.exposures and self._expose(view, split):
-            self.draw(view, size, target)  # also what is at an exposure of its own
-            return
-        self.screen.present(target, exposure)
+    def lay_over(self, view: View, size: tuple[int, int], target: Any) -> None:
+        """The spheres of the view's vertex."""
         if view.vertex is not None:
             for picture, place in self.insets(view, size):
                 self.overlay.draw(target, picture, place)
-        self.milliseconds["frame"] = 1e3 * (clock.perf_counter() - started)
 
-    def _draw(
+    def advance(self, view: View, seconds: float) -> None:
+        """Go on in both clips, and around."""
+        view.advance(self.actor, seconds)
+
+    def through(self, view: View, fps: int) -> Iterator[tuple[int, int]]:
+        """The clip from its start to its end; what it is blended with goes on, too."""
+        kept = view.time, view.blend_time
+        clip = self.actor.scene.clip(view.clip)
+        steps = np.diff(clip.times(fps), prepend=clip.start).tolist()
+        view.time = clip.start
+        try:
+            for number, step in enumerate(steps):
+                view.time = min(view.time + step, clip.end)
+                view.advance_blend(self.actor, step)
+                yield number, len(steps)
+        finally:
+            view.time, view.blend_time = kept
+
+    def check(self, view: View, name: str) -> None:
+        """Find out whether a light or a material can be shown.
+
+        Raises:
+            PrtnetError: it cannot.
+        """
+        if name == "light":
+            self.lit(view)
+        else:
+            self.brdf(view)
+
+    def draw_side(
         self,
-        mode: Mode,
+        mode: str,
         view: View,
         camera: Camera,
         size: tuple[int, int],
@@ -219,26 +206,17 @@ class Show:
         self.stage.material(self._matte if plain else self.operator(view))
         self.stage.show(seeing(self.actor, self.subject(view), shown))
         self.stage.draw(frame, matrix, eye)
-        self._count(**self.stage.milliseconds)
+        self.count(**self.stage.milliseconds)
         if mode == "visibility":
             return
         for subject, place, others in self.others(view, self.cast.predict):
             seen = shown if mode == "open" else others
             self.stage.show(seeing(self.actor, subject, seen))
             self.stage.draw(frame, matrix @ moved(place), eye - place)
-            self._count(**self.stage.milliseconds)
-
-    def _expose(self, view: View, split: int) -> bool:
-        """Choose the exposure under this light by what has been drawn, if anything lit has been."""
-        for mode, columns in ((view.left, slice(split)), (view.right, slice(split, None))):
-            drawn = self.screen.linear()[:, columns]
-            if mode not in UNLIT and drawn[..., 3].any():  # not while the truth is being traced
-                self.exposures[view.light] = auto_exposure(drawn)
-                return True
-        return False
+            self.count(**self.stage.milliseconds)
 
     def _painted_colours(
-        self, mode: Mode, view: View, camera: Camera, exposure: float
+        self, mode: str, view: View, camera: Camera, exposure: float
     ) -> FloatArray | None:
         """Linear colours of receivers (V, 3) of what is not shaded here; None if not known yet."""
         if mode == "truth":
@@ -250,7 +228,7 @@ class Show:
         self.error_top = error_scale(wrong)
         return heat_colours(wrong, self.error_top) / exposure
 
-    def _visibility(self, mode: Mode, view: View) -> FloatArray | None:
+    def _visibility(self, mode: str, view: View) -> FloatArray | None:
         """What is shaded with, (V, n²); None if it is not known yet."""
         if mode == "open":
             return open_visibility(len(self.actor.receivers), self.order)
@@ -267,21 +245,21 @@ class Show:
         pose = self.pose(view)
         started = clock.perf_counter()
         (latents, occluders), *_ = self._for_shader(pose)
-        self._count(model=1e3 * (clock.perf_counter() - started))
+        self.count(model=1e3 * (clock.perf_counter() - started))
         subject = self.subject(view)
         front, back = sides(self.actor)
         receivers = [front] if back is None else [front, back]
         stage.show_latents(subject, latents, receivers, occluders)
         stage.draw(frame, matrix, eye)
-        self._count(**stage.milliseconds)
+        self.count(**stage.milliseconds)
         for other, place, own in self.others(view, self._for_shader):
             stage.show_latents(other, own[0], receivers, own[1])
             stage.draw(frame, matrix @ moved(place), eye - place)
-            self._count(**stage.milliseconds)
+            self.count(**stage.milliseconds)
 
     def _draw_lobes(
         self,
-        mode: Mode,
+        mode: str,
         brdf: OneDimensional,
         view: View,
         frame: Any,
@@ -298,20 +276,21 @@ class Show:
         shown = shaded_lobes(seen, view.order)
         count = shown.axes.shape[1]
         if count not in self.lobed:
-            self.lobed[count] = OneDimensionalStage(self.context, self.order, count)
+            made = OneDimensionalStage(self.context, self.order, count)
+            self.lobed[count] = self.keep(made)
         stage = self.lobed[count]
         stage.light(cut_lobes(self.lit(view), view.order))
         stage.material(brdf)
         stage.show(lobed_subject(self.actor, self.subject(view), shown))
         stage.draw(frame, matrix, eye)
-        self._count(**stage.milliseconds)
+        self.count(**stage.milliseconds)
         if mode == "visibility":
             return
         for other, place, own in self.others(view, self._lobes_of):
             lobes = shown if mode == "open" else shaded_lobes(own, view.order)
             stage.show(lobed_subject(self.actor, other, lobes))
             stage.draw(frame, matrix @ moved(place), eye - place)
-            self._count(**stage.milliseconds)
+            self.count(**stage.milliseconds)
 
     def _for_shader(self, poses: FloatArray) -> list[tuple[FloatArray, FloatArray | None]]:
         """What a shader rebuilds visibility from, of each pose: latents, a prior's occluders."""
@@ -333,19 +312,14 @@ class Show:
             poses = crowd_poses(self.actor, view, view.copies)[1:]
             self._crowd = key, poses, [posed_subject(self.actor, pose[None]) for pose in poses]
             self._evaluated = {}
-            self._count(pose=1e3 * (clock.perf_counter() - started))
+            self.count(pose=1e3 * (clock.perf_counter() - started))
         _, poses, subjects = self._crowd
         if evaluate not in self._evaluated:
             started = clock.perf_counter()
             self._evaluated[evaluate] = list(evaluate(poses))
-            self._count(model=1e3 * (clock.perf_counter() - started))
+            self.count(model=1e3 * (clock.perf_counter() - started))
         places = crowd_places(view.copies, self._room)[1:]
         return list(zip(subjects, places, self._evaluated[evaluate], strict=True))
-
-    def _count(self, **spent: float) -> None:
-        """Milliseconds of stages: those of both sides of a split are summed."""
-        for stage, ms in spent.items():
-            self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + ms
 
     def pick(
         self, view: View, size: tuple[int, int], place: tuple[float, float]
@@ -373,12 +347,6 @@ class Show:
             self._inset = key, inset_of(self.subject(view), view.vertex, cut, camera, size)
         return self._inset[1]
 
-    def metres(self, view: View, height: int) -> float:
-        """What a pixel of a picture of this height is wide at the target."""
-        camera = self.camera(view)
-        reach = np.linalg.norm(np.asarray(camera.eye) - np.asarray(camera.target))
-        return float(2.0 * np.tan(camera.fov / 2.0) * reach / max(height, 1))
-
     def pose(self, view: View) -> FloatArray:
         """The pose of a view, (1, D)."""
         if self._posed is None or self._posed[0] != view.moments:
@@ -391,7 +359,7 @@ class Show:
             pose = self.pose(view)
             started = clock.perf_counter()
             self._subject = view.moments, posed_subject(self.actor, pose)
-            self._count(pose=1e3 * (clock.perf_counter() - started))
+            self.count(pose=1e3 * (clock.perf_counter() - started))
         return self._subject[1]
 
     def predicted(self, view: View) -> FloatArray:
@@ -400,7 +368,7 @@ class Show:
             pose = self.pose(view)
             started = clock.perf_counter()
             self._predicted = view.moments, self.cast.predict(pose)[0]
-            self._count(model=1e3 * (clock.perf_counter() - started))
+            self.count(model=1e3 * (clock.perf_counter() - started))
         return self._predicted[1]
 
     def _predicted_at(self, view: View, receiver: int) -> FloatArray:
@@ -416,7 +384,7 @@ class Show:
             pose = self.pose(view)
             started = clock.perf_counter()
             self._own_lobes = view.moments, self.actor.model.lobes_of(pose)[0]
-            self._count(model=1e3 * (clock.perf_counter() - started))
+            self.count(model=1e3 * (clock.perf_counter() - started))
         return self._own_lobes[1]
 
     def _lobes_of(self, poses: FloatArray) -> list[Lobes]:

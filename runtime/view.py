@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from prtnet.modelled_scene import ModelledScene, Moment
 from runtime.camera import Camera
+from runtime.outlook import Outlook
 
 __all__ = ["MODES", "UNLIT", "Mode", "View", "framing", "later"]
 
@@ -18,12 +17,10 @@ Mode = Literal["prediction", "truth", "visibility", "open", "ambient", "error"]
 MODES: tuple[Mode, ...] = get_args(Mode)
 UNLIT = ("ambient", "error")  # shown at an exposure of their own, whatever the light
 FRAMED = 9  # poses of a clip that must be in the picture
-TURN_STEP = math.radians(0.25)  # a drag's pixel
-STEEPEST = math.radians(89.0)
 
 
 @dataclass
-class View:
+class View(Outlook):
     """What is looked at, and how.
 
     Attributes:
@@ -33,22 +30,11 @@ class View:
         blend_time: seconds into that.
         blend: how far on the way, 0 to 1.
         copies: of the character, each at a moment of its own; only the first is traced.
-        light: its name, as in ``prtnet render``.
-        light_turn: about the vertical, degrees.
         lobes: of the light, a colour; 0 for as many as hold it exactly, None for few if they do.
         order: bands of visibility and light that are shown; 0 for all that the model has.
         brdf: its name, as in ``prtnet render``.
         factors: of the BRDF.
-        left: what is shown left of the split.
-        right: and right of it.
-        split: where that is, a fraction of the width; 1 for the left side alone.
-        azimuth: of the camera, radians.
-        elevation: likewise.
-        distance: of the camera, times the one that frames the character.
-        pan: of the target, metres along the picture's axes.
         vertex: whose visibility is shown on a sphere, and whether of its back; None for none.
-        exposure: stops beside the one chosen under this light.
-        playing: whether time goes on; the truth is traced when it does not.
     """
 
     clip: str
@@ -57,22 +43,13 @@ class View:
     blend_time: float = 0.0
     blend: float = 0.0
     copies: int = 1
-    light: str = "studio"
-    light_turn: float = 0.0
     lobes: int | None = 3
     order: int = 0
     brdf: str = "matte"
     factors: int = 8
-    left: Mode = "prediction"
-    right: Mode = "truth"
-    split: float = 1.0
-    azimuth: float = math.radians(30.0)
-    elevation: float = math.radians(12.0)
-    distance: float = 1.0
-    pan: tuple[float, float] = (0.0, 0.0)
     vertex: tuple[int, bool] | None = None
-    exposure: float = 0.0
-    playing: bool = False
+    left: str = field(default="prediction", kw_only=True)
+    right: str = field(default="truth", kw_only=True)
 
     @property
     def moments(self) -> tuple[Any, ...]:
@@ -80,12 +57,6 @@ class View:
         alone = not self.blend_clip or self.blend == 0.0
         first = (self.clip, self.time)
         return first if alone else (*first, self.blend_clip, self.blend_time, self.blend)
-
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        """What is shown, on one side or both."""
-        left, right = self.split > 0.0, self.split < 1.0
-        return (*((self.left,) if left else ()), *((self.right,) if right else ()))
 
     def pose(self, actor: ModelledScene) -> Any:
         """The flattened pose (1, D).
@@ -107,34 +78,6 @@ class View:
         """Go on in the clip that is blended with, and around."""
         if self.blend_clip:
             self.blend_time = later(actor, self.blend_clip, self.blend_time, seconds)
-
-    def orbit(self, right: float, down: float) -> None:
-        """Walk the camera around the character by so many pixels of a drag."""
-        self.azimuth = (self.azimuth - TURN_STEP * right) % (2.0 * math.pi)
-        self.elevation = min(max(self.elevation + TURN_STEP * down, -STEEPEST), STEEPEST)
-
-    def zoom(self, steps: float) -> None:
-        """Step towards the character."""
-        self.distance = min(max(self.distance * 0.9**steps, 0.05), 20.0)
-
-    def camera(self, base: Camera) -> Camera:
-        """Where from: a camera that frames the character, walked around it."""
-        target, eye = np.asarray(base.target), np.asarray(base.eye)
-        reach = float(np.linalg.norm(eye - target))
-        flat = math.cos(self.elevation)
-        towards = np.array(
-            [math.sin(self.azimuth) * flat, math.sin(self.elevation), math.cos(self.azimuth) * flat]
-        )
-        right = np.array([math.cos(self.azimuth), 0.0, -math.sin(self.azimuth)])
-        target = target + self.pan[0] * right + self.pan[1] * np.cross(towards, right)
-        eye = target + reach * self.distance * towards
-        return dataclasses.replace(
-            base,
-            eye=tuple(eye.tolist()),
-            target=tuple(target.tolist()),
-            near=0.02 * reach * self.distance,
-            far=reach * self.distance + base.far,
-        )
 
 
 def later(actor: ModelledScene, name: str, time: float, seconds: float) -> float:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from prtnet.materials import OF_LOBES
 from prtnet.merl import Measured
 from prtnet.one_dimensional import OneDimensional
+from runtime.base_panel import BasePanel
 from runtime.crowd import MOST
-from runtime.view import MODES
 
 if TYPE_CHECKING:
     from runtime.viewer import Viewer
@@ -23,48 +23,14 @@ LIVE_RANGE = 0.0, 1000.0  # of an exponent that needs no table
 NONE = "none"
 
 
-class Panel:
-    """Draws the panel and changes the view as it is told.
+class Panel(BasePanel):
+    """Draws the panel and changes the view as it is told."""
 
-    Args:
-        viewer: whose.
-    """
+    viewer: Viewer
 
-    def __init__(self, viewer: Viewer) -> None:
-        from imgui_bundle import imgui
-
-        self.imgui: Any = imgui
-        self.viewer = viewer
-
-    def draw(self, keys: Sequence[tuple[str, str]]) -> None:
-        """The panel, and the keys if there are any to explain."""
-        imgui = self.imgui
-        imgui.set_next_window_pos((10, 10), imgui.Cond_.first_use_ever)
-        height = self.viewer.window.size[1]
-        imgui.set_next_window_size_constraints((330, 0), (330, max(100, height - 20)))
-        imgui.begin("prtnet", None, imgui.WindowFlags_.always_auto_resize)
-        self.pose()
-        imgui.separator_text("look")
-        self.look()
-        imgui.separator_text("light")
-        self.light()
-        imgui.separator_text("material")
-        self.material()
-        if imgui.collapsing_header("milliseconds", imgui.TreeNodeFlags_.default_open):
-            for stage, spent in self.viewer.show.milliseconds.items():
-                imgui.text(f"{stage:<14} {spent:10.3f}")
-        if imgui.collapsing_header("megabytes"):
-            for what, count in self.viewer.show.memory().items():
-                imgui.text(f"{what:<14} {count / 1e6:10.3f}")
-        self.remarks()
-        imgui.end()
-        if keys:
-            width, height = self.viewer.window.size
-            imgui.set_next_window_pos((0.5 * width, 0.5 * height), imgui.Cond_.always, (0.5, 0.5))
-            imgui.begin("help", None, imgui.WindowFlags_.always_auto_resize)
-            for key, what in keys:
-                imgui.text(f"{key:<12} {what}")
-            imgui.end()
+    def sections(self) -> Sequence[tuple[str, Callable[[], None]]]:
+        """Clip, look, light, material."""
+        return (("", self.pose), *super().sections(), ("material", self.material))
 
     def pose(self) -> None:
         """Clip and time, and what they are blended with."""
@@ -91,21 +57,16 @@ class Panel:
         _, view.copies = imgui.slider_int("characters", view.copies, 1, MOST, "%d", always)
 
     def look(self) -> None:
-        """What is shown on either side, of how many bands, how bright."""
+        """What is shown on either side, how bright, of how many bands."""
+        super().look()
         view = self.viewer.view
-        view.left = self.choose("shown", view.left, list(MODES))
-        view.split = self.slider("split (C)", view.split, 0.0, 1.0, "%.2f")
-        if view.split < 1.0:
-            view.right = self.choose("beside", view.right, list(MODES))
         bands = {0: "all", **{n: str(n) for n in range(1, self.viewer.show.order)}}
         view.order = self.choose_value("order", view.order, bands)
-        view.exposure = self.slider("exposure", view.exposure, -4.0, 4.0, "%+.1f stops")
 
     def light(self) -> None:
         """Which, from where, of how many lobes."""
-        viewer, view = self.viewer, self.viewer.view
-        viewer.change("light", self.choose("light", view.light, viewer.desk.lights))
-        view.light_turn = self.slider("turn", view.light_turn, 0.0, 360.0, "%.0f deg")
+        super().light()
+        view = self.viewer.view
         counts: dict[int | None, str] = {None: "auto", 0: "exact"}
         counts |= {count: str(count) for count in range(1, 7)}
         view.lobes = self.choose_value("lobes", view.lobes, counts)
@@ -134,11 +95,7 @@ class Panel:
         if view.vertex is not None:
             kept = "" if viewer.following else ", kept (V)"
             imgui.text(f"vertex {view.vertex[0]}{kept}")
-        if viewer.show.waiting:
-            imgui.text(viewer.show.waiting)
-        if viewer.message:
-            imgui.text_wrapped(viewer.message)
-        imgui.text_disabled("H: help")
+        super().remarks()
 
     def time(self, label: str, clip: str, value: float) -> tuple[bool, float]:
         """A slider of seconds into a clip: whether it was moved, and where it is."""
@@ -146,24 +103,6 @@ class Panel:
         always = imgui.SliderFlags_.always_clamp  # typed numbers, too
         moved, new = imgui.slider_float(label, value, found.start, found.end, "%.2f s", always)
         return moved, new if moved else value  # imgui rounds what it shows to 32 bits
-
-    def slider(self, label: str, value: float, low: float, high: float, shown: str) -> float:
-        """A number between two others."""
-        always = self.imgui.SliderFlags_.always_clamp
-        moved, new = self.imgui.slider_float(label, value, low, high, shown, always)
-        return float(new) if moved else value
-
-    def choose_value(self, label: str, current: Any, named: dict[Any, str]) -> Any:
-        """A list of values by their names, one of them chosen."""
-        named = named if current in named else {**named, current: str(current)}
-        chosen = self.choose(label, named[current], list(named.values()))
-        return next(value for value, name in named.items() if name == chosen)
-
-    def choose(self, label: str, current: Any, names: Sequence[Any]) -> Any:
-        """A list of names, one of them chosen; a current one that is not among them stays."""
-        shown = list(names) if current in names else [*names, current]
-        _, index = self.imgui.combo(label, shown.index(current), [str(name) for name in shown])
-        return shown[index]
 
     def parameters(self) -> None:
         """A slider for every parameter of the BRDF, colours in three."""

@@ -25,10 +25,10 @@ from prtnet.errors import PrtnetError
 from prtnet.gpu_tables import gpu_tables
 from prtnet.modelled_scene import Moment
 from runtime import recording
+from runtime.base_viewer import open_window
 from runtime.cast import Cast
 from runtime.crowd import crowd_places, crowd_poses, elbow_room
 from runtime.draw import opened, render_material
-from runtime.dropped import take_files
 from runtime.pick import projected
 from runtime.picture import develop, laid_over
 from runtime.posed_surface import posed_subject
@@ -36,7 +36,7 @@ from runtime.reflected import Side, Subject
 from runtime.show import Show
 from runtime.stage import Stage
 from runtime.view import MODES, View
-from runtime.viewer import Desk, Viewer, open_window
+from runtime.viewer import Desk, Viewer
 from tests.models import random_model
 from tests.priors import random_prior
 from tests.runtime.test_posed_surface import modelled
@@ -83,7 +83,7 @@ def viewer(window: Any, tmp_path: Path) -> Iterator[Viewer]:
     window._window.set_size(*SIZE)
     window._window.dispatch_events()
     view = View("bend", brdf="phong")
-    desk = Desk(["studio", "sky"], ["matte", "gold"], tmp_path, lambda _: None,
+    desk = Desk(["studio", "sky"], tmp_path, lambda _: None, ["matte", "gold"],
                 lambda *_: cast(), Path("a.safetensors"), Path("a.glb"))  # fmt: skip
     found = Viewer(window, Show(window.ctx, cast(), environment), view, desk)
     found.view.playing = False
@@ -525,7 +525,7 @@ def test_the_command_opens_what_it_is_given(window, tmp_path, monkeypatch, kind)
     model.save(tmp_path / "arm.safetensors")
     write_glb(arm(segments=6), tmp_path / "arm.glb")
     files = tmp_path / "arm.safetensors", tmp_path / "arm.glb"
-    monkeypatch.setattr("runtime.viewer.open_window", lambda *_: window)
+    monkeypatch.setattr("runtime.base_viewer.open_window", lambda *_: window)
     window.use()
     options = ViewOptions(*files, out=tmp_path, rays=16, threads=1, brdf="phong")
     found = opened_viewer(options, 1, lambda _: None)
@@ -552,7 +552,7 @@ def test_the_exponent_of_lobes_is_live(window, tmp_path, monkeypatch):
     actor = modelled(arm(segments=6), two_sided=True, lobes=2)
     window.use()
     view = View("bend", brdf="lobe:exponent=4,transmitted=0.2")
-    desk = Desk(["studio"], ["matte"], tmp_path, lambda _: None, lambda *_: cast(),
+    desk = Desk(["studio"], tmp_path, lambda _: None, ["matte"], lambda *_: cast(),
                 Path("a.safetensors"), Path("a.glb"))  # fmt: skip
     found = Viewer(window, Show(window.ctx, cast(actor), environment), view, desk)
     found.view.playing = False
@@ -676,10 +676,10 @@ def test_a_character_that_cannot_be_drawn_gives_back_what_it_took(viewer, monkey
     def broken(*_: Any) -> None:
         raise PrtnetError("model", "is too large for a texture here")
 
-    monkeypatch.setattr("runtime.show.Overlay", broken)
+    monkeypatch.setattr("runtime.show.Painted", broken)
     real = Stage.release
     monkeypatch.setattr(Stage, "release", lambda self: (released.append(self), real(self)))
-    take_files(viewer, ["any.safetensors"])
+    viewer.dropped(0, 0, ["any.safetensors"])
     assert "too large" in viewer.message
     assert viewer.show is shown
     assert len(released) == 1
@@ -704,8 +704,8 @@ def test_a_window_is_closed_where_nothing_can_be_shown(window, tmp_path, monkeyp
         raise PrtnetError("model", "is too large for a texture here")
 
     window.use()
-    monkeypatch.setattr("runtime.viewer.open_window", lambda *_: Fake())
-    monkeypatch.setattr("runtime.show.Screen", broken)
+    monkeypatch.setattr("runtime.base_viewer.open_window", lambda *_: Fake())
+    monkeypatch.setattr("runtime.sight.Screen", broken)
     options = ViewOptions(tmp_path / "arm.safetensors", tmp_path / "arm.glb", out=tmp_path)
     with pytest.raises(PrtnetError, match="too large"):
         opened_viewer(options, 1, lambda _: None)
