@@ -10,8 +10,10 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import scipy.sparse
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.frames import deformation_operator, orthonormal_frames
@@ -48,15 +50,19 @@ class Canvas:
         """Columns tangent, bitangent, normal of vertices, (V, 3, 3)."""
         return orthonormal_frames(self.tangents, self.normals)
 
+    @cached_property
+    def _carry(self) -> scipy.sparse.csr_array:
+        """From positions to where triangles carry the tangents: made once for all that moves."""
+        every = np.arange(len(self.positions))
+        return deformation_operator(self.positions, self.faces, every, self.frames[..., 0])
+
     def moved(self, positions: FloatArray, normals: FloatArray) -> Canvas:
         """The same where its vertices have moved to, both (V, 3): triangles carry tangents.
 
         Triangles around a vertex are not quite in its plane: what that turns a tangent by at rest
         is taken back, so that frames go along with a turn of all, exactly.
         """
-        every = np.arange(len(self.positions))
-        rest = self.frames
-        carry = deformation_operator(self.positions, self.faces, every, rest[..., 0])
+        rest, carry = self.frames, self._carry
         before, after = (
             orthonormal_frames(carry @ np.asarray(places, dtype=np.float64), upright)
             for places, upright in ((self.positions, self.normals), (positions, normals))

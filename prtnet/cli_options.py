@@ -10,7 +10,15 @@ from typing import Literal
 from tyro.conf import Positional
 
 from prtnet.errors import PrtnetError
-from prtnet.limits import MOST_COPIES, MOST_FACTORS, MOST_LIGHT_LOBES, MOST_PIXELS, check_side
+from prtnet.limits import (
+    MOST_COPIES,
+    MOST_FACTORS,
+    MOST_FPS,
+    MOST_LIGHT_LOBES,
+    MOST_PIXELS,
+    MOST_SPIN,
+    check_side,
+)
 from prtnet.storage import Storage
 
 __all__ = [
@@ -197,11 +205,11 @@ class RenderOptions:
         """Refuse values that cannot work."""
         for option, least in RENDER_LEAST.items():
             at_least(f"--{option.replace('_', '-')}", getattr(self, option), least)
-        if (self.spin or 1) > 999:
-            raise PrtnetError("--spin", "is too many; give at most 999 pictures")
+        if (self.spin or 1) > MOST_SPIN:
+            raise PrtnetError("--spin", f"is too many; give at most {MOST_SPIN} pictures")
         if self.split > 1.0 or abs(self.elevation) > 89.0:
             raise PrtnetError("--split and --elevation", "are at most 1, and 89 degrees")
-        if self.fps > 240 or self.zoom > 100.0 or self.exposure > 20.0:
+        if self.fps > MOST_FPS or self.zoom > 100.0 or self.exposure > 20.0:
             raise PrtnetError("--fps, --zoom and --exposure", "are at most 240, 100 and 20")
         blend_of(self.blend)
         fits_a_shader(self.lobes, self.factors)

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,24 +32,10 @@ if TYPE_CHECKING:
     from runtime.camera import Camera
     from runtime.cast import Radiance
     from runtime.draw import Renderer
+    from runtime.reel import Frame
     from runtime.shot import Posed, Shot
 
 __all__ = ["make_picture", "order_of", "staged", "tracers"]
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One of the pictures to make.
-
-    Attributes:
-        time: seconds into the clip.
-        turn: how far the camera has walked around, radians.
-        path: its own file; None for a picture of a movie.
-    """
-
-    time: float
-    turn: float = 0.0
-    path: Path | None = None
 
 
 def make_picture(options: RenderOptions, threads: int, console: Console) -> dict[str, Any]:
@@ -62,6 +47,7 @@ def make_picture(options: RenderOptions, threads: int, console: Console) -> dict
     """
     from runtime.draw import opened, usable
     from runtime.memory import resident_bytes
+    from runtime.reel import opened_reel, saved_frames
 
     actor = staged(options.model, options.scene)
     scene = actor.scene
@@ -70,7 +56,7 @@ def make_picture(options: RenderOptions, threads: int, console: Console) -> dict
     frames = frames_of(options, clip)
     take = staged_shots(options, actor, clip, frames, threads, console)
     facts = {
-        "out": options.out if frames[0].path in (None, options.out) else [f.path for f in frames],
+        "out": saved_frames(frames, options.out),
         "clip": clip.name, "time": frames[0].time, "size": options.size, "brdf": options.brdf,
         "lobes": take(frames[0]).lobes.axes.shape[1], "pictures": len(frames),
     }  # fmt: skip
@@ -79,7 +65,7 @@ def make_picture(options: RenderOptions, threads: int, console: Console) -> dict
     with contextlib.ExitStack() as held:
         renderer = held.enter_context(opened(options.renderer or usable(console.message)))
         report = held.enter_context(console.progress())
-        write = held.enter_context(file_of(options))
+        write = held.enter_context(opened_reel(options.out, options.fps))
         for number, frame in enumerate(frames):
             report("pictures", number, len(frames))
             picture, exposure = drawn(options, take(frame), renderer, exposure, errors)
@@ -183,40 +169,12 @@ def camera_of(options: RenderOptions, actor: ModelledScene, clip: Clip, posed: P
     return camera.nearer(options.zoom)
 
 
-@contextlib.contextmanager
-def file_of(options: RenderOptions) -> Iterator[Callable[[Frame, FloatArray], None]]:
-    """What pictures are handed to: files of their own, or a movie.
-
-    Raises:
-        PrtnetError: it cannot be written.
-    """
-    from runtime.movie import movie
-    from runtime.picture import save_png
-
-    if not options.moving:
-        yield lambda frame, picture: save_png(frame.path or options.out, picture)
-        return
-    with movie(options.out, options.fps) as add:
-        yield lambda _, picture: add(picture)
-
-
 def frames_of(options: RenderOptions, clip: Clip) -> list[Frame]:
     """The pictures to make: one, all around, or through the clip."""
-    from runtime.movie import require_movies
+    from runtime.reel import reel
 
-    if options.moving:
-        require_movies(options.out)
     time = (clip.start + clip.end) / 2 if options.time is None else options.time
-    if options.spin is None:
-        if options.moving:
-            return [Frame(each) for each in clip.times(options.fps).tolist()]
-        return [Frame(time, 0.0, options.out)]
-    width = len(str(options.spin - 1))
-    names = [options.out.with_stem(f"{options.out.stem}_{k:0{width}}") for k in range(options.spin)]
-    return [
-        Frame(time, 2.0 * np.pi * k / options.spin, None if options.moving else name)
-        for k, name in enumerate(names)
-    ]
+    return reel(options.out, options.spin, time, clip.times(options.fps).tolist())
 
 
 def staged(model_file: Path, scene_file: Path) -> ModelledScene:

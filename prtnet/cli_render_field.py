@@ -5,8 +5,10 @@ Beside ``prtnet.cli``, which it serves, it may import the other packages.
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,9 +20,11 @@ from prtnet.array_file import LOBES, TRANSFER, header_key
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
 from prtnet.limits import (
+    MOST_FPS,
     MOST_LOBES,
     MOST_PIXELS,
     MOST_REPEAT,
+    MOST_SPIN,
     MOST_THREADS,
     check_side,
     check_within,
@@ -28,11 +32,14 @@ from prtnet.limits import (
 
 if TYPE_CHECKING:
     from data_gen.static_mesh import StaticMesh
-    from prtnet.arrays import FloatArray
     from prtnet.canvas import Canvas
-    from prtnet.console import Console
+    from prtnet.console import Console, Report
     from prtnet.lobe_field import LobeField
+    from prtnet.scene import Scene
     from prtnet.transfer import Patch, Surface, TransferField
+    from runtime.camera import Camera
+    from runtime.reel import Frame
+    from runtime.worn import Worn
 
 __all__ = ["FieldOptions", "make_field_picture", "names_field"]
 
@@ -48,7 +55,7 @@ class FieldOptions:
     """Options of ``prtnet render`` of a field."""
 
     field: Positional[Path]  # from prtnet bake: transfer, or lobes
-    out: Path  # picture to write, .png
+    out: Path  # picture to write, .png, or a movie of what moves, .mp4
     on: str | None = None  # vase or plane, a mesh or a scene; a mesh's field: the scene baked
     repeat: int = 6  # widths of a patch around a vase, across a plane or the longest side of a mesh
     twist: float = 0.0  # degrees about the vertical from bottom to top
@@ -65,6 +72,8 @@ class FieldOptions:
     elevation: float = 12.0  # of the camera: degrees above the horizon
     zoom: float = 1.0  # how many times closer than what shows everything
     exposure: float = 0.0  # stops brighter
+    spin: int | None = None  # so many pictures all around, OUT with a number before its .png
+    fps: int = 30  # pictures a second of a movie: of the clip, or of a twist to and fro
     renderer: Literal["gl", "cpu"] | None = None  # OpenGL, of lobes, or NumPy; what there is
     threads: int | None = None  # CPU threads of a truth; all cores when not given
 
@@ -77,8 +86,19 @@ class FieldOptions:
         check_within("--lobes", self.lobes, 1, MOST_LOBES)
         check_within("--threads", self.threads, 1, MOST_THREADS)
         check_side("--size", self.size, MOST_PIXELS)
-        if self.out.suffix.lower() != ".png":
-            raise PrtnetError(self.out, "is no name of a PNG picture; end it in .png")
+        check_within("--spin", self.spin, 1, MOST_SPIN)
+        check_within("--fps", self.fps, 1, MOST_FPS)
+        if self.out.suffix.lower() not in (".png", ".mp4"):
+            told = "is no name of a PNG picture or of a movie; end it in .png or .mp4"
+            raise PrtnetError(self.out, told)
+        if self.playing and self.time is not None:
+            told = "has no place in a movie of a whole clip; leave it out, or add --spin"
+            raise PrtnetError("--time", told)
+
+    @property
+    def playing(self) -> bool:
+        """Whether time goes on from picture to picture."""
+        return self.out.suffix.lower() == ".mp4" and self.spin is None
 
     def inputs(self) -> list[Path]:
         """The files that are read."""
@@ -146,41 +166,107 @@ def make_field_picture(
             clip, time or light, or the file cannot be written.
     """
     from prtnet.lobe_field import LobeField
-    from runtime.camera import Camera
     from runtime.draw import usable
-    from runtime.field_shot import FieldShot
-    from runtime.picture import auto_exposure, comparison, develop, save_png
+    from runtime.field_shot import FieldShot, opened_field
+    from runtime.picture import auto_exposure, comparison, develop
+    from runtime.reel import opened_reel, saved_frames
+
+    field, raw = drawn_field(options, named, console)
+    worn = worn_by(options.on, options.repeat, field.layout)
+    frames, posed = staged_field(options, worn)
+    light = environment(options.light).turned(options.light_turn)
+    harmonics = light.harmonics(field.order, options.dering)
+    camera = camera_of(options, worn, posed(frames[0]))
+    lobed = isinstance(field, LobeField)
+    renderer = options.renderer or (usable(console.message) if lobed else "cpu")
+    by_table = lobed and options.form == "table"
+    own = f"{field.count} lobes" if isinstance(field, LobeField) else "turned transfer"
+    exposure: float | None = None  # one for all pictures
+    errors: list[dict[str, float]] = []
+    with contextlib.ExitStack() as held:
+        draw = held.enter_context(opened_field(field, renderer, by_table))
+        report = held.enter_context(console.progress())
+        write = held.enter_context(opened_reel(options.out, options.fps))
+        for number, frame in enumerate(frames):
+            if len(frames) > 1:
+                report("pictures", number, len(frames))
+            canvas = posed(frame)
+            shot = FieldShot(canvas, harmonics, camera.around(frame.turn), options.size)
+            seen = shot.drawn_by(draw, by_table)
+            told = compared_with(options, field, raw, canvas, threads, report)
+            truth = None if told is None else shot.draw(told[0])
+            if exposure is None:
+                exposure = auto_exposure(seen if truth is None else truth)
+            gain = exposure * 2.0**options.exposure
+            if told is None or truth is None:
+                write(frame, develop(seen, gain))
+                continue
+            sheet, error = comparison(seen, truth, (own, told[1]), gain)
+            errors.append(error)
+            write(frame, sheet)
+    facts = {"out": saved_frames(frames, options.out), **field.facts(), "size": options.size,
+             "pictures": len(frames)}  # fmt: skip
+    if errors:
+        facts["error_in_per_cent_of_white"] = errors if len(frames) > 1 else errors[0]
+    return facts
+
+
+def drawn_field(
+    options: FieldOptions, named: Mapping[str, str], console: Console
+) -> tuple[LobeField | TransferField, TransferField | None]:
+    """What is drawn, and the transfer it was fitted to now, or is.
+
+    Raises:
+        PrtnetError: the file is none, or an option does nothing for it.
+    """
+    from prtnet.lobe_field import LobeField
+    from prtnet.lobe_fit import lobe_field
 
     field = read_field(options.field)
     check_options(options, named, field)
-    raw = None if isinstance(field, LobeField) else field
-    if raw is not None and options.lobes is not None:
-        from prtnet.lobe_fit import lobe_field
+    if isinstance(field, LobeField):
+        return field, None
+    if options.lobes is None:
+        return field, field
+    with console.progress() as report:
+        return lobe_field(field, options.lobes, False, report), field
 
-        with console.progress() as report:
-            field = lobe_field(raw, options.lobes, False, report)
-    canvas = canvas_of(options, field)
-    light = environment(options.light).turned(options.light_turn)
+
+def staged_field(
+    options: FieldOptions, worn: Worn
+) -> tuple[list[Frame], Callable[[Frame], Canvas]]:
+    """The pictures to make, and what poses the canvas for one.
+
+    Raises:
+        PrtnetError: there is no such clip or time, or nothing moves.
+    """
+    from runtime.reel import reel
+    from runtime.worn import swung
+
+    if worn.scene is None and (options.clip is not None or options.time is not None):
+        raise PrtnetError(worn.name, "does not move; leave out --clip and --time")
+    clip, twist = worn.clip(options.clip), math.radians(options.twist)
+    start, end = (0.0, 0.0) if clip is None else (clip.start, clip.end)
+    time = (start + end) / 2 if options.time is None else options.time
+    times = worn.times(clip, bool(twist), options.fps) if options.playing else ()
+
+    @functools.lru_cache(1)
+    def at(time: float) -> Canvas:
+        return worn.at(clip, time, swung(twist, time - start) if options.playing else twist)
+
+    return reel(options.out, options.spin, time, times), lambda frame: at(frame.time)
+
+
+def camera_of(options: FieldOptions, worn: Worn, canvas: Canvas) -> Camera:
+    """Sees the pose, or in a movie all that it comes to, from where it is wanted."""
+    from runtime.camera import Camera
+
+    seen = canvas.positions
+    if options.playing:
+        seen = worn.extent(worn.clip(options.clip), math.radians(options.twist))
     angles = np.radians([options.azimuth, options.elevation]).tolist()
-    camera = Camera.framing(canvas.positions, options.size[0] / options.size[1], *angles)
-    camera = camera.nearer(options.zoom)
-    shot = FieldShot(canvas, light.harmonics(field.order, options.dering), camera, options.size)
-    renderer = options.renderer or (
-        usable(console.message) if isinstance(field, LobeField) else "cpu"
-    )
-    picture = shot.draw(field, renderer, options.form == "table")
-    facts: dict[str, Any] = {"out": options.out, **field.facts(), "size": options.size}
-    if options.compare is None:
-        exposure = auto_exposure(picture) * 2.0**options.exposure
-        save_png(options.out, develop(picture, exposure))
-        return facts
-    other, caption = compared_with(options, field, raw, canvas, threads, console)
-    truth = shot.draw(other)
-    gain = auto_exposure(truth) * 2.0**options.exposure
-    own = f"{field.count} lobes" if isinstance(field, LobeField) else "turned transfer"
-    sheet, error = comparison(picture, truth, (own, caption), gain)
-    save_png(options.out, sheet)
-    return {**facts, "error_in_per_cent_of_white": error}
+    aspect = options.size[0] / options.size[1]
+    return Camera.framing(seen, aspect, *angles).nearer(options.zoom)
 
 
 def read_field(path: Path) -> LobeField | TransferField:
@@ -201,19 +287,21 @@ def compared_with(
     raw: TransferField | None,
     canvas: Canvas,
     threads: int,
-    console: Console,
-) -> tuple[TransferField, str]:
-    """Full transfer to compare with, and what it is.
+    report: Report,
+) -> tuple[TransferField, str] | None:
+    """Full transfer to compare with, and what it is; None for nothing.
 
     Raises:
         PrtnetError: there is none, or it is of something else.
     """
     from prtnet.transfer import Surface, TransferField
 
+    if options.compare is None:
+        return None
     if options.compare == "truth":
         if not isinstance(field.layout, Surface):
             raise PrtnetError("--compare", "truth is of meshes; of a patch compare with sh")
-        return retraced(field, canvas, threads, console), "ray-traced where it is"
+        return retraced(field, canvas, threads, report), "ray-traced where it is"
     if options.compare == "sh":
         if raw is None:
             raise PrtnetError("--compare", "sh needs transfer; name the field lobes were fitted to")
@@ -226,7 +314,7 @@ def compared_with(
 
 
 def retraced(
-    field: LobeField | TransferField, canvas: Canvas, threads: int, console: Console
+    field: LobeField | TransferField, canvas: Canvas, threads: int, report: Report
 ) -> TransferField:
     """Transfer of the mesh simulated again, as it is posed.
 
@@ -249,59 +337,49 @@ def retraced(
     )
     every = np.arange(len(positions))
     mesh = StaticMesh(positions, normals, tangents, canvas.faces, every)
-    with console.progress() as report:
-        return bake_mesh(mesh, config, None, report)
+    return bake_mesh(mesh, config, None, report)
 
 
-def canvas_of(options: FieldOptions, field: LobeField | TransferField) -> Canvas:
-    """What the field is shown on, posed and twisted.
+def worn_by(on: str | None, repeat: int, layout: Patch | Surface) -> Worn:
+    """What a field is shown on.
+
+    Args:
+        on: as ``--on``.
+        repeat: as ``--repeat``.
+        layout: of the field.
 
     Raises:
         PrtnetError: it does not belong to the field, or cannot be read.
     """
+    from prtnet.canvas import Canvas, boxed, plane, vase
     from prtnet.transfer import Patch
+    from runtime.worn import Worn
 
-    if isinstance(field.layout, Patch):
-        canvas = patch_canvas(options, field.layout)
-    else:
-        canvas = mesh_canvas(options, field.layout)
-    return canvas.twisted(math.radians(options.twist)) if options.twist else canvas
-
-
-def patch_canvas(options: FieldOptions, layout: Patch) -> Canvas:
-    """A patch on something."""
-    from prtnet.canvas import boxed, plane, vase
-
+    built_in = on in BUILT_IN and not Path(str(on)).is_file()
+    if not isinstance(layout, Patch):
+        canvas = Canvas(layout.positions, layout.tangents, layout.normals, layout.faces)
+        if on is None:
+            return Worn("field", canvas)
+        if built_in:
+            raise PrtnetError("--on", f"{on} is for patches; a mesh's field is on its own mesh")
+        mesh, scene = moving_mesh(Path(on))
+        if not np.array_equal(mesh.positions, layout.positions):
+            raise PrtnetError(on, "is not what the field was baked of; name that, or bake anew")
+        return Worn(on, canvas, scene, mesh.vertices)
     shape = layout.size[1] / layout.size[0]
-    on = options.on or BUILT_IN[0]
-    if on in BUILT_IN and not Path(on).is_file():
-        return (vase if on == "vase" else plane)(options.repeat, shape)
-    mesh, positions, normals = posed_mesh(options, Path(on))
-    width = float(np.ptp(mesh.positions, axis=0).max()) / options.repeat
+    if on is None or built_in:
+        return Worn(on or BUILT_IN[0], (plane if on == "plane" else vase)(repeat, shape))
+    mesh, scene = moving_mesh(Path(on))
+    width = float(np.ptp(mesh.positions, axis=0).max()) / repeat
     canvas, source = boxed(mesh.positions, mesh.normals, mesh.faces, (width, width * shape))
-    return canvas.moved(positions[source], normals[source])
+    return Worn(on, canvas, scene, mesh.vertices[source])
 
 
-def mesh_canvas(options: FieldOptions, layout: Surface) -> Canvas:
-    """A mesh that was baked, where it was or in a pose of its scene."""
-    from prtnet.canvas import Canvas
-
-    canvas = Canvas(layout.positions, layout.tangents, layout.normals, layout.faces)
-    if options.on is None:
-        return canvas
-    if options.on in BUILT_IN:
-        raise PrtnetError("--on", f"{options.on} is for patches; a mesh's field is on its own mesh")
-    mesh, positions, normals = posed_mesh(options, Path(options.on))
-    if not np.array_equal(mesh.positions, layout.positions):
-        raise PrtnetError(options.on, "is not what the field was baked of; name that, or bake anew")
-    return canvas.moved(positions, normals)
-
-
-def posed_mesh(options: FieldOptions, path: Path) -> tuple[StaticMesh, FloatArray, FloatArray]:
-    """A mesh at rest, and positions and normals (V, 3) of its vertices in a pose.
+def moving_mesh(path: Path) -> tuple[StaticMesh, Scene | None]:
+    """A mesh at rest, and the scene that moves it, if any does.
 
     Raises:
-        PrtnetError: it cannot be read, or has no such clip or time.
+        PrtnetError: it cannot be read.
     """
     from data_gen.readers import READERS, read_scene
     from data_gen.static_mesh import read_mesh
@@ -309,11 +387,4 @@ def posed_mesh(options: FieldOptions, path: Path) -> tuple[StaticMesh, FloatArra
 
     mesh = read_mesh(input_file(path))
     scene = read_scene(path) if path.suffix.lower() in READERS else None
-    if scene is None or not scene.clips:
-        if options.clip is not None or options.time is not None:
-            raise PrtnetError(path, "does not move; leave out --clip and --time")
-        return mesh, mesh.positions, mesh.normals
-    clip = scene.clip(options.clip) if options.clip else scene.clips[0]
-    time = (clip.start + clip.end) / 2 if options.time is None else options.time
-    posed = scene.geometry(scene.poses(clip, np.array([time])))
-    return mesh, posed.positions[0, mesh.vertices], posed.normals[0, mesh.vertices]
+    return mesh, scene if scene is not None and scene.clips else None

@@ -13,12 +13,14 @@ __all__ = [
     "MOST_BOUNCES",
     "MOST_COPIES",
     "MOST_FACTORS",
+    "MOST_FPS",
     "MOST_LIGHT_LOBES",
     "MOST_LOBES",
     "MOST_ORDER",
     "MOST_PIXELS",
     "MOST_RAYS",
     "MOST_REPEAT",
+    "MOST_SPIN",
     "MOST_TEXELS",
     "MOST_THREADS",
     "check_field_limits",
@@ -37,6 +39,8 @@ MOST_FACTORS = 64  # of a BRDF, likewise
 MOST_COPIES = 100  # characters
 MOST_PIXELS = 8192  # a side of a picture
 MOST_THREADS = 1024
+MOST_SPIN = 999  # pictures all around
+MOST_FPS = 240  # pictures a second of a movie
 
 
 def check_within(subject: str, value: float | None, least: float, most: float) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +19,13 @@ from runtime.draw import RendererName, averaged, finer
 from runtime.lobe_picture import strip_rows, strips_by_numpy
 from runtime.lobe_shading import LobeLight, light_table
 
-__all__ = ["FieldShot"]
+__all__ = ["FieldShot", "opened_field", "seen_from_origin"]
+
+
+Draw = Callable[
+    [Canvas, LobeLight, FloatArray, FloatArray, tuple[int, int], int], Iterator[FloatArray]
+]
+"""As ``strips_by_numpy`` of one field."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,15 +62,18 @@ class FieldShot:
         Raises:
             PrtnetError: the picture or the field is too large, or there is no OpenGL.
         """
-        fine = finer(self.size, samples)
         by_table = by_table and isinstance(field, LobeField)
+        with opened_field(field, renderer, by_table) as draw:
+            return self.drawn_by(draw, by_table, samples)
+
+    def drawn_by(self, draw: Draw, by_table: bool, samples: int = 4) -> FloatArray:
+        """The same by what ``opened_field`` gives, for a field that is drawn more than once."""
+        fine = finer(self.size, samples)
         light = LobeLight(self.light, light_table(self.light) if by_table else None)
         canvas, camera = seen_from_origin(self.canvas, self.camera)
         matrix, eye = camera.matrix(self.size[0] / self.size[1]), np.asarray(camera.eye)
-        by_gl = renderer == "gl" and isinstance(field, LobeField)
-        draw: Any = strips_by_gl if by_gl else strips_by_numpy
         scale = fine[1] // self.size[1]
-        strips = draw(field, canvas, light, eye, matrix, fine, strip_rows(fine, scale))
+        strips = draw(canvas, light, eye, matrix, fine, strip_rows(fine, scale))
         return np.concatenate(
             [averaged(strip, (self.size[0], len(strip) // scale)) for strip in strips]
         )
@@ -80,16 +89,18 @@ def seen_from_origin(canvas: Canvas, camera: Camera) -> tuple[Canvas, Camera]:
     )
 
 
-def strips_by_gl(
-    field: LobeField,
-    canvas: Canvas,
-    light: LobeLight,
-    eye: FloatArray,
-    matrix: FloatArray,
-    size: tuple[int, int],
-    step: int,
-) -> Iterator[FloatArray]:
-    """As ``strips_by_numpy``, by a context of its own, all of them in one framebuffer."""
+@contextlib.contextmanager
+def opened_field(
+    field: LobeField | TransferField, renderer: RendererName, by_table: bool
+) -> Iterator[Draw]:
+    """What draws a field on a canvas, by NumPy, or, lobes alone, by a context of its own.
+
+    Raises:
+        PrtnetError: the field is too large, or there is no OpenGL.
+    """
+    if renderer == "cpu" or not isinstance(field, LobeField):
+        yield functools.partial(strips_by_numpy, field)
+        return
     from runtime.gl import check_size, create_context, framed, pixels_of
     from runtime.lobe_stage import LobeStage
 
@@ -97,16 +108,29 @@ def strips_by_gl(
     with contextlib.ExitStack() as made:
         made.callback(context.release)
         made.enter_context(context)
-        check_size(context, size)
-        step = min(step, size[1])
-        stage = LobeStage(context, field, light.table is not None)
+        stage = LobeStage(context, field, by_table)
         made.callback(stage.release)
-        stage.light(light)
-        stage.show(canvas)
-        frame = framed(context, (size[0], step), made)
-        for top in range(0, size[1], step):
-            frame.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
-            # The window that the whole picture has, of which the framebuffer is a strip.
-            frame.viewport = (0, top + step - size[1], *size)
-            stage.draw(frame, matrix, eye)
-            yield pixels_of(frame, (size[0], step))[: size[1] - top]
+
+        def draw(
+            canvas: Canvas,
+            light: LobeLight,
+            eye: FloatArray,
+            matrix: FloatArray,
+            size: tuple[int, int],
+            step: int,
+        ) -> Iterator[FloatArray]:
+            """All strips in one framebuffer."""
+            check_size(context, size)
+            step = min(step, size[1])
+            stage.light(light)
+            stage.show(canvas)
+            with contextlib.ExitStack() as picture:
+                frame = framed(context, (size[0], step), picture)
+                for top in range(0, size[1], step):
+                    frame.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
+                    # The window that the whole picture has, of which the framebuffer is a strip.
+                    frame.viewport = (0, top + step - size[1], *size)
+                    stage.draw(frame, matrix, eye)
+                    yield pixels_of(frame, (size[0], step))[: size[1] - top]
+
+        yield draw
