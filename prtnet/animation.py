@@ -127,6 +127,12 @@ class Clip:
         """Length in seconds."""
         return self.end - self.start
 
+    def later(self, time: float, seconds: float) -> float:
+        """A time so many seconds on, around where the clip ends."""
+        if self.duration <= 0.0:
+            return time
+        return self.start + (time - self.start + seconds) % self.duration
+
     def times(self, fps: float | None = None, count: int | None = None) -> FloatArray:
         """Sample times (P,) in seconds, by rate or by count, both ends included."""
         if count is None:

@@ -311,7 +311,12 @@ def render_field(argv: Sequence[str]) -> None:
 
 
 def view(argv: Sequence[str]) -> None:
-    """Play a model in a window."""
+    """Play a model, or show a baked field, in a window."""
+    from prtnet.cli_render_field import names_field
+
+    if names_field(argv):
+        view_field(argv)
+        return
     from prtnet.cli_arguments import input_file
     from prtnet.cli_options import ViewOptions
 
@@ -320,9 +325,22 @@ def view(argv: Sequence[str]) -> None:
     input_file(options.scene)
 
     from prtnet.cli_view import opened_viewer
-    from runtime.closed_display import on_closed_display
 
-    viewer = opened_viewer(options, threads(options.threads), session.console.message)
+    played(opened_viewer(options, threads(options.threads), session.console.message), session)
+
+
+def view_field(argv: Sequence[str]) -> None:
+    """Show a field of transfer or lobes on what moves, in a window."""
+    from prtnet.cli_view_field import ViewFieldOptions, opened_field_viewer
+
+    options, session = arguments("view", argv, ViewFieldOptions)
+    work = threads(options.threads), session.console.message
+    played(opened_field_viewer(options, *work), session)
+
+
+def played(viewer: Any, session: Session) -> None:
+    """A viewer until it is closed, then what there is to tell."""
+    from runtime.closed_display import on_closed_display
 
     def leave() -> None:
         with contextlib.suppress(Exception):  # it may be in the middle of it
@@ -442,7 +460,7 @@ COMMANDS = {
     ),
     "view": Command(
         view,
-        "Play a model in a window: any light, any material, the truth beside it.",
+        "Play a model in a window, the truth beside it, or show a FIELD (view FIELD --help).",
         "prtnet view robot.safetensors robot.glb --brdf gold",
     ),
     "report": Command(

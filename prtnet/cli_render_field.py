@@ -41,7 +41,16 @@ if TYPE_CHECKING:
     from runtime.reel import Frame
     from runtime.worn import Worn
 
-__all__ = ["FieldOptions", "make_field_picture", "names_field"]
+__all__ = [
+    "BUILT_IN",
+    "FieldOptions",
+    "fitted_to",
+    "make_field_picture",
+    "names_field",
+    "read_field",
+    "retraced",
+    "worn_by",
+]
 
 BUILT_IN = ("vase", "plane")
 LEAST = {"light_turn": -1e6, "dering": 0, "twist": -1e6, "azimuth": -1e6, "elevation": -89,
@@ -294,7 +303,7 @@ def compared_with(
     Raises:
         PrtnetError: there is none, or it is of something else.
     """
-    from prtnet.transfer import Surface, TransferField
+    from prtnet.transfer import Surface
 
     if options.compare is None:
         return None
@@ -306,11 +315,22 @@ def compared_with(
         if raw is None:
             raise PrtnetError("--compare", "sh needs transfer; name the field lobes were fitted to")
         return raw, "turned harmonics"
-    other = TransferField.load(str(options.compare))
+    return fitted_to(field, options.compare), "turned harmonics"
+
+
+def fitted_to(field: LobeField | TransferField, path: str) -> TransferField:
+    """The transfer of a file, that these lobes were fitted to.
+
+    Raises:
+        PrtnetError: it is of something else.
+    """
+    from prtnet.transfer import TransferField
+
+    other = TransferField.load(path)
     same = other.order == field.order and other.rows == field.rows and len(other) == len(field)
     if not same or type(other.layout) is not type(field.layout):
-        raise PrtnetError(str(options.compare), "is of something else; name what lobes fit")
-    return other, "turned harmonics"
+        raise PrtnetError(path, "is of something else; name what lobes fit")
+    return other
 
 
 def retraced(

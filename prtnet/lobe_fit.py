@@ -15,11 +15,11 @@ from prtnet.arrays import FloatArray
 from prtnet.console import Report, silent
 from prtnet.lobe_field import LobeField, halved
 from prtnet.transfer import Patch, Surface, TransferField
-from prtnet.zh import Lobes, LobesApart, apart
+from prtnet.zh import Lobes, LobesApart, apart, exact_lobes
 from prtnet.zh_fit import fit_lobes
 from prtnet.zh_surface import bilinear, coherent_lobes, with_midpoints
 
-__all__ = ["between", "lobe_field"]
+__all__ = ["between", "exact_field", "lobe_field"]
 
 STARTS, GOOD = 4, 0.02  # random starts, and the error that needs none
 BLOCK = 1 << 13  # functions between two reports
@@ -59,6 +59,24 @@ def lobe_field(
     return LobeField(
         lobes.low, lobes.lobes.axes, lobes.lobes.coefficients, field.layout, coherent, field.view,
         {**field.metadata, "fit": told},
+    )  # fmt: skip
+
+
+def exact_field(field: TransferField) -> LobeField:
+    """The very transfer as 2n − 1 lobes, about axes that all points share: exact but for rounding.
+
+    Coherent, and between points exactly what is between their transfer. More lobes than a file
+    takes: it is there to be drawn beside fewer.
+
+    Raises:
+        PrtnetError: a coefficient is larger than half precision holds.
+    """
+    transfer = field.transfer.astype(np.float64)
+    shared = apart(transfer, exact_lobes(transfer))
+    lobes = halved(str(field.metadata.get("source", "field")), shared)
+    return LobeField(
+        lobes.low, lobes.lobes.axes, lobes.lobes.coefficients, field.layout, True, field.view,
+        field.metadata,
     )  # fmt: skip
 
 

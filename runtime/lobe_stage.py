@@ -56,6 +56,11 @@ class LobeStage:
         self._held.clear()
         self._mesh = None
 
+    @property
+    def resources(self) -> list[Any]:
+        """Buffers and textures that are held."""
+        return list(self._held.values())
+
     def _upload(self) -> None:
         """Textures of the field, and room for those of light."""
         field, layout = self.field, self.field.layout

@@ -82,9 +82,7 @@ class View(Outlook):
 
 def later(actor: ModelledScene, name: str, time: float, seconds: float) -> float:
     """A time in a clip, so many seconds on, around where it ends."""
-    clip = actor.scene.clip(name)
-    length = clip.end - clip.start
-    return clip.start + (time - clip.start + seconds) % length if length > 0 else time
+    return actor.scene.clip(name).later(time, seconds)
 
 
 def framing(actor: ModelledScene, clip: str, aspect: float = 1.0, **angles: float) -> Camera:

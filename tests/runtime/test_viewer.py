@@ -40,13 +40,12 @@ from runtime.viewer import Desk, Viewer
 from tests.models import random_model
 from tests.priors import random_prior
 from tests.runtime.test_posed_surface import modelled
+from tests.runtime.windows import SIZE, drag, press, read, save, send, sized
 
 pytestmark = [
     pytest.mark.gl,
     pytest.mark.filterwarnings("ignore:Importing PyGLM:PendingDeprecationWarning"),
 ]
-
-SIZE = (160, 120)
 
 
 def cast(actor=None) -> Cast:
@@ -68,20 +67,9 @@ def cast(actor=None) -> Cast:
     return Cast(actor, actor.model, lambda _: truth, radiance, (latents, tables), 12345)
 
 
-@pytest.fixture(scope="module")
-def window(display: str) -> Iterator[Any]:
-    """One for all: a process has one window."""
-    found = open_window("test", SIZE)
-    yield found
-    found.close()
-    found.destroy()
-
-
 @pytest.fixture
 def viewer(window: Any, tmp_path: Path) -> Iterator[Viewer]:
-    window.use()
-    window._window.set_size(*SIZE)
-    window._window.dispatch_events()
+    sized(window)
     view = View("bend", brdf="phong")
     desk = Desk(["studio", "sky"], tmp_path, lambda _: None, ["matte", "gold"],
                 lambda *_: cast(), Path("a.safetensors"), Path("a.glb"))  # fmt: skip
@@ -90,38 +78,6 @@ def viewer(window: Any, tmp_path: Path) -> Iterator[Viewer]:
     found.first.playing = False
     yield found
     found.release()
-
-
-def send(viewer: Viewer, *event: Any) -> None:
-    """An event through the window's queue."""
-    viewer.window._window.dispatch_event(*event)
-    viewer.window._window.dispatch_events()
-
-
-def press(viewer: Viewer, *names: str) -> None:
-    """As the window system tells of keys."""
-    from pyglet.window import key
-
-    for name in names:
-        for kind in ("on_key_press", "on_key_release"):
-            send(viewer, kind, getattr(key, name), 0)
-
-
-def drag(viewer: Viewer, button: str, right: int, up: int) -> None:
-    """As the window system tells of a mouse, away from the panel."""
-    from pyglet.window import mouse
-
-    pressed = getattr(mouse, button)
-    for kind, rest in (
-        ("on_mouse_press", (pressed, 0)),
-        ("on_mouse_drag", (right, up, pressed, 0)),
-        ("on_mouse_release", (pressed, 0)),
-    ):
-        send(viewer, kind, 150, 10, *rest)
-
-
-def read(viewer: Viewer) -> np.ndarray:
-    return viewer.pixels().astype(int)
 
 
 def test_it_plays_until_it_is_told_to_stop(viewer):
@@ -257,14 +213,6 @@ def test_a_frame_that_cannot_be_drawn_is_told_and_taken_back(viewer, tmp_path):
         time.sleep(0.05)
     assert "no rays today" in viewer.message
     assert viewer.view.left == "prediction"
-
-
-def save(viewer: Viewer, name: str) -> None:
-    """Press a key that saves and go on until it is done."""
-    press(viewer, name)
-    viewer.step(0.0)
-    while viewer.saving is not None:
-        viewer.step(0.0)
 
 
 def test_pictures_that_cannot_be_saved_are_told(viewer, tmp_path):
