@@ -10,9 +10,11 @@ import pytest
 from prtnet.environment import Environment, environment
 from prtnet.equirectangular import Picture
 from prtnet.materials import BRDFS, brdf_named, material
+from prtnet.presets import Lamp, Preset
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import exact_lobes
 from prtnet.zh_fit import fit_lobes
+from runtime.camera import Camera
 from runtime.draw import opened, render_material
 from runtime.reflected import Side, Subject, outgoing_radiance
 from tests.runtime.scenes import frames_of, knot_subject, sky, three_quarters
@@ -98,8 +100,25 @@ def test_a_sun_of_one_texel(name):
     assert drawn[..., :3].max() > 1.0
 
 
-def test_grazing_views_and_lights_are_finite():
-    """An eye in the plane of the surface, and behind it; a light along the horizon."""
+HEIGHTS = (1e-300, 1e-150, 1e-12, 1e-6, 1e-3, 0.0, -1e-12)
+
+
+@pytest.mark.parametrize("kind", sorted(BRDFS))
+def test_light_and_view_along_the_surface(kind):
+    """Either or both, on the same side, opposite, and across: nothing is infinite or below zero."""
+    turn = np.array([0.0, 1e-9, 0.5 * np.pi, np.pi - 1e-9, np.pi])
+    height, turn = np.meshgrid(np.array([*HEIGHTS, 0.5, 1.0]), turn)
+    flat = np.sqrt(1.0 - height**2)
+    every = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=-1).reshape(-1, 3)
+    brdf = BRDFS[kind]()
+    reflected = brdf(every[:, None], every) * np.maximum(every[:, None, 2:], 0.0)
+    assert np.isfinite(reflected).all()
+    assert (reflected >= 0.0).all()
+    assert not reflected[every[:, 2] <= 0.0].any()
+    assert not reflected[:, every[:, 2] <= 0.0].any()
+
+
+def test_eyes_in_the_plane_and_behind_it():
     operator = made("ashikhmin-shirley")
     frames = frames_of(np.array([[0.0, 0.0, 1.0]]))
     side = Side(np.eye(16)[:1] * np.sqrt(4 * np.pi), frames)
@@ -108,6 +127,55 @@ def test_grazing_views_and_lights_are_finite():
     for eye in eyes:
         seen = outgoing_radiance(np.zeros((1, 3)), side, np.array(eye), lobes, operator)
         assert np.isfinite(seen).all()
+
+
+def floor() -> Subject:
+    """A square of 8 × 8 vertices that nothing hides anything from, its normals along +y."""
+    x, z = np.meshgrid(np.linspace(-1.0, 1.0, 8), np.linspace(1.0, -1.0, 8))
+    positions = np.stack([x, 0.0 * x, z], axis=-1).reshape(-1, 3)
+    corner = (np.arange(7)[:, None] * 8 + np.arange(7)).ravel()
+    lower = np.stack([corner, corner + 1, corner + 9], axis=1)
+    faces = np.concatenate([lower, np.stack([corner, corner + 9, corner + 8], axis=1)])
+    frames = frames_of(np.broadcast_to([0.0, 1.0, 0.0], positions.shape))
+    visibility = np.zeros((len(positions), 16))
+    visibility[:, 0] = np.sqrt(4 * np.pi)
+    return Subject(positions, faces.astype(np.int32), Side(visibility, frames))
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("elevation", [0.0, 1e-3, -5.0])
+@pytest.mark.parametrize("text", ["ggx:roughness=0.1", "ashikhmin-shirley", "schlick"])
+def test_a_floor_seen_along_itself_under_a_light_along_it(text, elevation):
+    """Both renderers: finite, and alike."""
+    sun = Preset((Lamp(180.0, elevation, 500.0, (400.0, 380.0, 350.0)),), *[(0.1, 0.1, 0.1)] * 3)
+    lobes = exact_lobes(Environment(sun).harmonics(4).T)
+    camera = Camera((0.0, 0.02, 3.0), (0.0, 0.0, 0.0), fov=0.03, near=0.1, far=10.0)
+    pictures = []
+    for name in ("cpu", "gl"):
+        with opened(name) as renderer:
+            pictures.append(render_material(renderer, floor(), lobes, made(text), camera, SIZE))
+    assert np.isfinite(pictures).all()
+    assert pictures[0][..., 3].mean() > 0.1
+    scale = max(1.0, float(np.abs(pictures[0]).max()))
+    assert np.abs(pictures[0] - pictures[1]).max() <= 2e-2 * scale
+
+
+@pytest.mark.parametrize("name", RENDERERS)
+@pytest.mark.parametrize("text", ["matte", "gold", "ashikhmin-shirley"])
+def test_vertices_that_see_nothing_are_black_and_the_others_as_before(name, text):
+    subject = knot_subject(detail=1)
+    whole = picture(name, subject, sky(), made(text))
+    ball = np.abs(np.linalg.norm(subject.positions, axis=1) - 0.7) < 1e-4
+    visibility = np.where(ball[:, None], 0.0, subject.front.visibility)
+    blind = Side(visibility, subject.front.frames)
+    part = picture(name, Subject(subject.positions, subject.faces, blind), sky(), made(text))
+    changed = (part != whole).any(axis=-1)
+    assert 0.02 < changed.mean() < 0.5
+    assert (part[changed][:, :3] == 0.0).all(axis=1).mean() > 0.6  # others hold the ring, too
+    none = Side(np.zeros_like(visibility), subject.front.frames)
+    dark = picture(name, Subject(subject.positions, subject.faces, none), sky(), made(text))
+    assert not dark[..., :3].any()
+    assert np.array_equal(dark[..., 3], whole[..., 3])
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e5])

@@ -24,6 +24,7 @@ from PIL import Image
 from data_gen.procedural import mannequin
 from data_gen.truth import true_visibility
 from prtnet.environment import environment
+from runtime import screen
 from runtime.cast import Cast
 from runtime.gl import create_context
 from runtime.looks import cut_visibility
@@ -48,6 +49,7 @@ VIEWS: dict[str, dict[str, Any]] = {
     "satin": {"brdf": "satin", "light": "sunset", "azimuth": -0.8, "distance": 0.5},
     "ambient": {"left": "ambient", "right": "open", "split": 0.5},
     "heat": {"left": "error"},
+    "dark": {"exposure": -8.0},
 }
 
 
@@ -89,6 +91,11 @@ def drawn(show: Show, name: str) -> np.ndarray:
     return np.ascontiguousarray(data.reshape(SIZE[1], SIZE[0], 3)[::-1])
 
 
+def golden_of(name: str) -> np.ndarray:
+    with Image.open(FOLDER / f"{name}.png") as picture:
+        return np.asarray(picture).astype(int)
+
+
 @pytest.mark.parametrize("name", VIEWS)
 def test_the_picture_is_the_one_that_was_looked_at(show, name, tmp_path):
     picture, path = drawn(show, name), FOLDER / f"{name}.png"
@@ -96,7 +103,7 @@ def test_the_picture_is_the_one_that_was_looked_at(show, name, tmp_path):
         FOLDER.mkdir(exist_ok=True)
         save_png(path, picture)
         pytest.skip(f"{path.name} is drawn anew; look at it")
-    golden = np.asarray(Image.open(path)).astype(int)
+    golden = golden_of(name)
     assert golden.shape == picture.shape
     difference = np.abs(picture - golden)
     alike = float((difference.max(axis=-1) <= STEPS).mean())
@@ -105,6 +112,26 @@ def test_the_picture_is_the_one_that_was_looked_at(show, name, tmp_path):
         save_png(tmp_path / f"{name}_difference.png", np.minimum(20 * difference, 255))
     assert alike >= SHARE, tmp_path
     assert difference.mean() <= MEAN, tmp_path
+
+
+CURVE = "mix(12.92 * lit, curve, step(vec3(0.0031308), lit))"
+
+
+@pytest.mark.parametrize(
+    "other", ["1.055 * pow(lit, vec3(1.0 / 2.4)) - 0.055", "pow(lit, vec3(1.0 / 2.2))", "curve"]
+)
+def test_a_curve_without_its_straight_toe_would_be_seen(show, monkeypatch, other):
+    """In the dark picture: there the character is within the toe, to 0.04 of white."""
+    golden, there = golden_of("dark"), golden_of("matte") != golden_of("dark")
+    toe = there & (golden > 0) & (golden <= 10)
+    assert toe.mean() > 0.05
+    assert np.abs(drawn(show, "dark") - golden)[toe].mean() <= 0.1
+    assert CURVE in screen.FRAGMENT_SHADER
+    changed = screen.FRAGMENT_SHADER.replace(CURVE, other)
+    monkeypatch.setattr(screen, "FRAGMENT_SHADER", changed)
+    monkeypatch.setattr(show, "screen", screen.Screen(show.context))
+    assert np.abs(drawn(show, "dark") - golden)[toe].mean() > 0.5
+    show.screen.release()
 
 
 def test_a_slightly_other_light_would_be_seen(show):
