@@ -2,7 +2,8 @@
 
 python bench/ldprt.py [--write] [--quick]
 
-And the two errors of glossy transfer: of the rows of a BRDF, and of the lobes that fit them.
+Either is drawn by OpenGL as well. And the two errors of glossy transfer: of the rows of a BRDF, and
+of the lobes that fit them.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ import dataclasses
 import statistics
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from tables import per_cent, publish
+from turned_harmonics import TurnedHarmonics
 
 from data_gen.bake import BakeConfig, bake_patch
 from data_gen.reliefs import relief
@@ -28,11 +32,12 @@ from prtnet.glossy import brdf_rows
 from prtnet.lobe_field import LobeField
 from prtnet.lobe_fit import lobe_field
 from prtnet.sh import evaluate
-from prtnet.sh_rotation import rotate_zxzxz, zxzxz_multiplications
+from prtnet.sh_rotation import rotate, rotate_zxzxz, zxzxz_multiplications
 from prtnet.transfer import Surface, TransferField
 from prtnet.zh import bands_apart
 from runtime.camera import Camera
-from runtime.gl import available, create_context, framed
+from runtime.gl import available, create_context, framed, pixels_of
+from runtime.lobe_picture import drawn_by_numpy
 from runtime.lobe_shading import LobeLight, light_table, rows_radiance
 from runtime.lobe_stage import LobeStage
 
@@ -83,24 +88,49 @@ def milliseconds(work: Callable[[], object], times: int) -> float:
     return statistics.median(spent)
 
 
-def by_gl(field: LobeField, canvas: Canvas, light: LobeLight, by_table: bool, times: int) -> float:
-    """Milliseconds of a small picture, shaded per vertex."""
+def by_gl(
+    field: LobeField | TransferField, canvas: Canvas, light: LobeLight, by_table: bool, times: int
+) -> float:
+    """Milliseconds of a small picture, shaded per vertex; it is held against NumPy's first."""
+    camera = Camera.framing(canvas.positions, 1.0)
+    matrix, eye = camera.matrix(1.0), np.asarray(camera.eye)
     context = create_context()
     with contextlib.ExitStack() as made:
         made.callback(context.release)
         made.enter_context(context)
-        stage = LobeStage(context, field, by_table)
-        made.callback(stage.release)
-        stage.light(light)
-        stage.show(canvas)
         frame = framed(context, SIZE, made)
-        camera = Camera.framing(canvas.positions, 1.0)
+        draw = drawing(context, field, canvas, light, by_table, made)
 
-        def draw() -> None:
-            stage.draw(frame, camera.matrix(1.0), np.asarray(camera.eye))
+        def finished() -> None:
+            draw(frame, matrix, eye)
             context.finish()
 
-        return milliseconds(draw, times)
+        finished()
+        given = light if by_table else LobeLight(light.harmonics)
+        want = drawn_by_numpy(field, canvas, given, eye, matrix, SIZE)
+        missed = np.abs(pixels_of(frame, SIZE) - want).max(axis=-1)
+        if np.mean(missed > 0.01 * want.max()) > 1e-3:
+            raise SystemExit("OpenGL draws something else than NumPy: nothing measured")
+        return milliseconds(finished, times)
+
+
+def drawing(
+    context: Any,
+    field: LobeField | TransferField,
+    canvas: Canvas,
+    light: LobeLight,
+    by_table: bool,
+    made: contextlib.ExitStack,
+) -> Callable[[Any, FloatArray, FloatArray], None]:
+    """What draws a field on a context, of a frame, a matrix and an eye."""
+    if isinstance(field, TransferField):
+        turned = TurnedHarmonics(context, field.vectors, canvas, light.harmonics)
+        return turned.draw
+    stage = LobeStage(context, field, by_table)
+    made.callback(stage.release)
+    stage.light(light)
+    stage.show(canvas)
+    return stage.draw
 
 
 def speed(quick: bool) -> None:
@@ -118,7 +148,9 @@ def speed(quick: bool) -> None:
         return np.asarray(rotate_zxzxz(vectors, frames) @ harmonics)
 
     count = zxzxz_multiplications(ORDER) + 3 * ORDER**2
-    rows = [["full harmonics, turned (zxzxz)", count, f"{milliseconds(rotated, times):.1f}", "–"]]
+    gl = f"{by_gl(raw, canvas, direct, False, times):.1f}" if available() else "–"
+    rows = [["full harmonics, turned (zxzxz)", count, f"{milliseconds(rotated, times):.1f}", gl]]
+    print(rows[-1], flush=True)
     for lobes in (1, 3, 4):
         _, field = field_of(canvas, lobes)
         points = field.lobes
@@ -130,7 +162,8 @@ def speed(quick: bool) -> None:
 
             gl = f"{by_gl(field, canvas, table, by_table, times):.1f}" if available() else "–"
             spent = f"{milliseconds(shaded, times):.1f}"
-            rows.append([f"{lobes} lobes, {name}", of_lobes(lobes, by_table), spent, gl])
+            words = f"{lobes} lobe{'s' * (lobes > 1)}, {name}"
+            rows.append([words, of_lobes(lobes, by_table), spent, gl])
             print(rows[-1], flush=True)
     publish(
         "ldprt", ("per vertex", "multiplications", "NumPy, ms", "OpenGL, ms"), rows,
@@ -141,28 +174,42 @@ def speed(quick: bool) -> None:
     )  # fmt: skip
 
 
+def relative(missed: FloatArray, whole: FloatArray, lights: FloatArray) -> float:
+    """Relative RMS of rows (…, n²) under lights (n², M), all views together: u is orthonormal."""
+    return float(np.linalg.norm(missed @ lights) / np.linalg.norm(whole @ lights))
+
+
 def glossy(quick: bool) -> None:
     """What rows leave of a BRDF, and what lobes leave of its rows."""
     order, count = 4, 3
-    made = brdf_rows(CookTorrance(roughness=0.3), count, order)
-    whole = float(np.square(made.values).sum())
-    left = float(np.square(made.values[count:]).sum())
+    turns = Rotation.random(12 if quick else 48, rng=0).as_matrix()
+    studio = rotate(environment("studio").harmonics(order).T, turns[:, None])  # [turns, 3, n²]
+    lights = [np.eye(order**2), studio.reshape(-1, order**2).T]
     texels = 12 if quick else 48
-    settings = BakeConfig(
-        order=order, rays=128 if quick else 1024, glossy=made, threads=core_count()
-    )
     heights = 0.02 * relief("bumps", (texels, texels))
-    field = bake_patch(heights, (0.1, 0.1), (True, True), settings)
     rows = []
-    for lobes in (1, 2, 3, 4):
-        error = lobe_field(field, lobes).metadata["fit"]["error"]
-        rows.append([lobes, per_cent((left / whole) ** 0.5), per_cent(error)])
+    for name, slope in (("0.3", 0.3), ("√0.3", 0.3**0.5)):
+        brdf = CookTorrance(roughness=slope)
+        every = brdf_rows(brdf, order**2, order).harmonics(order)
+        errors = [relative(every[count:], every, light) for light in lights]
+        rows.append([f"slope {name}, {count} rows", *map(per_cent, errors)])
         print(rows[-1], flush=True)
+        settings = BakeConfig(
+            order=order, rays=128 if quick else 1024, glossy=brdf_rows(brdf, count, order),
+            threads=core_count(),
+        )  # fmt: skip
+        field = bake_patch(heights, (0.1, 0.1), (True, True), settings)
+        for lobes in (1, 2, 3, 4):
+            missed = lobe_field(field, lobes).lobes.harmonics() - field.transfer
+            errors = [relative(missed, field.transfer, light) for light in lights]
+            rows.append([f"further, {lobes} lobe{'s' * (lobes > 1)} a row", *map(per_cent, errors)])
+            print(rows[-1], flush=True)
     publish(
-        "glossy ldprt", ("lobes a row", "error of 3 rows", "further error of lobes"), rows,
-        f"Cook–Torrance, roughness 0.3, light of order {order}, {count} rows. The rows' error"
-        f" is of an open place, over views and lights; that of lobes is of the rows of {texels}×"
-        f"{texels} texels of bumps, shadowed and with bounces. Relative RMS.",
+        "glossy ldprt", ("", "light of any kind", "`studio`"), rows,
+        f"Cook–Torrance, light of order {order}, {count} rows. The rows' error is of an open place,"
+        f" over views and lights; that of lobes is of the rows of {texels}×{texels} texels of"
+        f" bumps, shadowed and with bounces. Relative RMS: of all coefficients of light alike, and"
+        f" under the preset turned {len(turns)} ways.",
     )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ __all__ = [
     "rotate_zxzxz",
     "rotation_matrix",
     "sample_directions",
+    "zxzxz",
     "zxzxz_multiplications",
 ]
 
@@ -104,7 +105,7 @@ def rotate_zxzxz(coefficients: Array, rotation: Array) -> Array:
     shape = (*np.broadcast_shapes(vector.shape[:-1], turn.shape[:-2]), order * order)
     vector = xp.broadcast_to(vector, shape)
     rows = [vector[..., index] for index in range(order * order)]
-    return xp.stack(_zxzxz(rows, entries, _euler_zyz(entries), order), -1)
+    return xp.stack(zxzxz(rows, entries, _euler_zyz(entries), order), -1)
 
 
 def zxzxz_multiplications(order: int) -> int:
@@ -121,7 +122,7 @@ def zxzxz_multiplications(order: int) -> int:
     counter = [0]
     rows = [_Counted(counter) for _ in range(order * order)]
     entries = [[_Counted(counter) for _ in range(3)] for _ in range(3)]
-    _zxzxz(rows, entries, [(_Counted(counter), _Counted(counter)) for _ in range(3)], order)
+    zxzxz(rows, entries, [(_Counted(counter), _Counted(counter)) for _ in range(3)], order)
     return counter[0]
 
 
@@ -146,8 +147,18 @@ class _Counted:
         return self
 
 
-def _zxzxz(rows: list[Any], entries: list[list[Any]], angles: list[Any], order: int) -> list[Any]:
-    """The method on anything with arithmetic; ``angles`` are (cos, sin) of α, β, γ."""
+def zxzxz(rows: list[Any], entries: list[list[Any]], angles: list[Any], order: int) -> list[Any]:
+    """``rotate_zxzxz`` on anything with arithmetic: what counts, or writes down, its steps.
+
+    Args:
+        rows: the n² coefficients.
+        entries: R, row by row.
+        angles: (cos, sin) of α, β, γ.
+        order: bands n.
+
+    Returns:
+        The n² coefficients turned.
+    """
     result = rows[:1]
     if order > 1:
         axis = (-rows[3], -rows[1], rows[2])

@@ -116,6 +116,17 @@ def test_facets_cover_the_surface_once(kind, roughness):
     assert covered == pytest.approx(exact, rel=5e-3)
 
 
+@pytest.mark.parametrize("slope", [0.15, 0.3, 0.3**0.5])
+def test_roughness_of_cook_torrance_is_its_slope(slope):
+    """Their D, exp(−tan² / m²) / (π m² cos⁴) of the angle of the half vector, seen along the
+    normal, where grooves hide nothing of slopes like these."""
+    half = np.linspace(0.0, 0.35, 8)
+    light = np.stack([np.sin(2 * half), 0 * half, np.cos(2 * half)], axis=-1)
+    facets = np.exp(-((np.tan(half) / slope) ** 2)) / (math.pi * slope**2 * np.cos(half) ** 4)
+    seen = CookTorrance(roughness=slope, fresnel=1.0)(light, np.tile([0.0, 0.0, 1.0], (8, 1)))
+    np.testing.assert_allclose(seen[:, 0], facets / (4.0 * np.cos(2 * half)), rtol=1e-12)
+
+
 def test_anisotropy_turns_with_the_tangent():
     view = up(1, seed=3, low=0.5)
     light = mirrored(up(200, seed=4, low=0.5))

@@ -45,6 +45,17 @@ def test_error_is_that_of_the_values_left_out() -> None:
         assert missed == pytest.approx(left, rel=1e-6)
 
 
+def test_views_weigh_no_row_more_than_another() -> None:
+    """u is orthonormal over views by the cosine: errors of rows are errors of what is seen."""
+    rows = brdf_rows(GGX(diffuse=(0.5, 0.1, 0.2), roughness=0.4), 4, ORDER)
+    out, area = cells(32, 4, "concentric")
+    weight = (area * out[..., 2]).sum(axis=1)
+    gram = np.einsum("v,bvc,dvc->bd", weight, rows.view, rows.view)
+    np.testing.assert_allclose(gram, np.eye(4), atol=1e-9)
+    left = np.linalg.norm(brdf_rows(GGX(), ORDER**2, ORDER).harmonics(ORDER), axis=1)
+    np.testing.assert_allclose(left, brdf_rows(GGX(), 1, ORDER).values, rtol=1e-6, atol=1e-9)
+
+
 def test_matte_has_one_row_that_is_the_cosine() -> None:
     rows = brdf_rows(Lambert(0.6), 1, ORDER)
     exact = np.einsum("bvc,bj->vcj", rows.view, rows.harmonics(ORDER))
