@@ -45,8 +45,14 @@ class CubeVisibility:
 
     def seen(self, points: slice | IntArray, face: int) -> BoolArray:
         """Of some vertices, of one face: (B, n, n)."""
-        own = np.asarray(self.bits[points, face], dtype=np.uint8)
-        return np.unpackbits(own, axis=-1).view(np.bool_)
+        return self.part(points, face, slice(0, self.size), slice(0, self.size))
+
+    def part(self, points: slice | IntArray, face: int, rows: slice, columns: slice) -> BoolArray:
+        """Of some vertices, of some rows and columns of a face."""
+        first = columns.start // 8
+        own = np.asarray(self.bits[points, face, rows, first : -(-columns.stop // 8)], np.uint8)
+        every = np.unpackbits(own, axis=-1).view(np.bool_)
+        return every[..., columns.start - 8 * first : columns.stop - 8 * first]
 
 
 def cube_visibility(
