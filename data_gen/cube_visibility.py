@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_gen.rays import border_operator, departure
+from data_gen.rays import LIFT, border_operator, departure
 from data_gen.visibility import BATCH, Tracer
 from prtnet.arrays import BoolArray, FloatArray, IntArray
 from prtnet.console import Report, silent
@@ -25,6 +25,9 @@ from prtnet.transfer import Surface
 __all__ = ["CubeVisibility", "cube_visibility"]
 
 FINE = 128  # directions a side of a face, in the paper
+# Rays set out a little further on: where several sheets meet, a vertex lies in the plane of one,
+# and every ray would hit it at once. So little that no other sheet is passed.
+AHEAD = np.float32(LIFT / 16)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +48,14 @@ class CubeVisibility:
 
     def seen(self, points: slice | IntArray, face: int) -> BoolArray:
         """Of some vertices, of one face: (B, n, n)."""
-        own = np.asarray(self.bits[points, face], dtype=np.uint8)
-        return np.unpackbits(own, axis=-1).view(np.bool_)
+        return self.part(points, face, slice(0, self.size), slice(0, self.size))
+
+    def part(self, points: slice | IntArray, face: int, rows: slice, columns: slice) -> BoolArray:
+        """Of some vertices, of some rows and columns of a face."""
+        first = columns.start // 8
+        own = np.asarray(self.bits[points, face, rows, first : -(-columns.stop // 8)], np.uint8)
+        every = np.unpackbits(own, axis=-1).view(np.bool_)
+        return every[..., columns.start - 8 * first : columns.stop - 8 * first]
 
 
 def cube_visibility(
@@ -86,7 +95,8 @@ def cube_visibility(
     def one(part: slice) -> None:
         seen = normals[part] @ every.T > 0.0  # [B, D]
         point, direction = np.nonzero(seen)
-        hit = tracer.occluded(starts[part][point], every32[direction])
+        ways = every32[direction]
+        hit = tracer.occluded(starts[part][point] + AHEAD * ways, ways)
         seen[point[hit], direction[hit]] = False
         bits[part] = np.packbits(seen, axis=1)
 
