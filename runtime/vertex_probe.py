@@ -31,7 +31,7 @@ class VertexProbe:
     """The exported GLSL, run for one receiver alone by transform feedback.
 
     Args:
-        context: that everything lives in; it must be current, and a framebuffer in use.
+        context: that everything lives in; it must be current.
         tables: of a model.
         units: where each of its textures is bound when the probe is called, by name.
     """
@@ -52,14 +52,17 @@ class VertexProbe:
                 self.program[name] = unit
         self._mesh: Any = context.vertex_array(self.program, [])
         self._result: Any = context.buffer(reserve=16 * len(names))
+        self._frame: Any = context.simple_framebuffer((1, 1))  # OpenGL draws nothing without one
+        self._scope: Any = context.scope(self._frame)
 
     def __call__(self, receiver: int) -> FloatArray:
         """Its visibility in its local frame, (n²,) float32."""
         self.program["receiver"] = receiver
-        self._mesh.transform(self._result, moderngl.POINTS, vertices=1)
+        with self._scope:
+            self._mesh.transform(self._result, moderngl.POINTS, vertices=1)
         return np.frombuffer(self._result.read(), dtype=np.float32)[: self.size].copy()
 
     def release(self) -> None:
         """Give everything back but the context."""
-        for held in (self._mesh, self._result, self.program):
+        for held in (self._scope, self._frame, self._mesh, self._result, self.program):
             held.release()
