@@ -6,11 +6,21 @@ import os
 import subprocess
 import sys
 
+import moderngl
+import numpy as np
 import pytest
 from PIL import Image
 
 from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm
+from prtnet.cli import run
+from prtnet.cli_render import tracers
+from prtnet.environment import environment
+from runtime.cast import Cast
+from runtime.gl import create_context
+from runtime.show import Show
+from runtime.view import View
+from tests.prtnet.test_exr import write
 from tests.runtime.test_posed_surface import modelled
 from tests.virtual_screen import started_screen
 
@@ -67,6 +77,72 @@ def test_without_opengl_pictures_are_drawn_by_numpy_and_it_is_said(files, tmp_pa
     done = prtnet("render", *files, *words, "--renderer", "gl", **nowhere)
     assert done.returncode == 2
     assert "use --renderer cpu" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["render", "view"])
+def test_a_model_for_another_mesh_is_one_line(files, tmp_path, capsys, command):
+    """Told before a window is opened or a file is begun."""
+    write_glb(arm(segments=7), tmp_path / "other.glb")
+    out = ("--out", str(tmp_path / "frame.png")) if command == "render" else ()
+    assert run([command, files[0], str(tmp_path / "other.glb"), *out]) == 2
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1
+    assert "other.glb: is not the mesh this model was fitted to (" in errors
+    assert [path.name for path in tmp_path.iterdir()] == ["other.glb"]
+
+
+@pytest.mark.parametrize("renderer", ["cpu", pytest.param("gl", marks=pytest.mark.gl)])
+def test_under_a_black_light_the_character_is_black(files, tmp_path, renderer):
+    """Also beside its truth, and with nothing to choose an exposure by."""
+    write(tmp_path / "night.exr", {"RGB": np.zeros((8, 16, 3), np.float32)})
+    out = tmp_path / "frame.png"
+    words = ("--light", str(tmp_path / "night.exr"), "--size", "64x48", "--rays", "16",
+             "--renderer", renderer, "--quiet")  # fmt: skip
+    for more in ((), ("--beside", "truth"), ("--compare", "truth"), ("--brdf", "gold")):
+        assert run(["render", *files, "--out", str(out), *words, *more]) == 0
+        picture = np.asarray(Image.open(out)).astype(int)
+        assert (picture[:48, :64].max(axis=-1) == 0).mean() > 0.02
+
+
+@pytest.mark.parametrize(("bad", "name"), [(np.nan, "nan"), (np.inf, "inf")])
+def test_lights_of_no_numbers_are_one_line(files, tmp_path, capsys, bad, name):
+    write(tmp_path / "bad.exr", {"RGB": np.full((8, 16, 3), bad, np.float32)})
+    for command, out in (("render", ("--out", str(tmp_path / "frame.png"))), ("view", ())):
+        assert run([command, *files, "--light", str(tmp_path / "bad.exr"), *out]) == 2
+        errors = capsys.readouterr().err
+        assert errors.count("\n") == 1
+        assert f"bad.exr: holds {name} in row 0, column 0" in errors
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.exr"]
+
+
+@pytest.mark.gl
+def test_opengl_without_timers_tells_no_milliseconds_of_it_and_draws_the_same(monkeypatch):
+    """A whole frame of a viewer: the stages that the CPU times are told all the same."""
+    actor = modelled(arm(segments=6), False)
+    cast = Cast(actor, actor.model, *tracers(actor, 16, 1))
+    pictures, told = [], []
+    for timers in (True, False):
+        if not timers:
+            monkeypatch.setattr(moderngl.Context, "query", no_queries)
+        context = create_context()
+        with context:
+            show = Show(context, cast, environment)
+            target = context.simple_framebuffer((96, 72))
+            for _ in range(3):
+                show.draw(View("bend", 1.0, brdf="gold"), (96, 72), target)
+            pictures.append(target.read())
+            told.append(set(show.milliseconds))
+            show.release()
+        context.release()
+    assert pictures[0] == pictures[1]
+    assert np.ptp(np.frombuffer(pictures[0], np.uint8)) > 60
+    assert told[0] - told[1] == {"draw"}
+    assert {"frame", "upload"} <= told[1]
+
+
+def no_queries(*_args: object, **_kwargs: object) -> None:
+    """As drivers that have none."""
+    raise RuntimeError("no timer queries")
 
 
 @pytest.mark.gl
