@@ -16,11 +16,15 @@ from prtnet.environment import environment
 from prtnet.gpu_tables import gpu_tables
 from prtnet.lobe_fit import lobe_field
 from prtnet.materials import brdf_named, material
+from prtnet.one_dimensional import OneDimensional
 from prtnet.zh import exact_lobes
 from runtime.all_frequency_stage import AllFrequencyStage
 from runtime.cast import Cast
+from runtime.field_show import FieldShow
+from runtime.field_view import FieldView
 from runtime.gl import GLRenderer, create_context
 from runtime.lobe_stage import LobeStage
+from runtime.one_dimensional_stage import OneDimensionalStage
 from runtime.overlay import Overlay
 from runtime.painted import Painted
 from runtime.screen import Screen
@@ -31,7 +35,9 @@ from tests.all_frequency import random_field
 from tests.models import random_model, random_poses
 from tests.runtime.scenes import knot, knot_subject, sky, three_quarters
 from tests.runtime.shader import latents_of
+from tests.runtime.test_field_viewer import of_mesh
 from tests.runtime.test_lobe_stage import bumpy
+from tests.runtime.test_one_dimensional_stage import lobed
 from tests.runtime.test_posed_surface import modelled
 
 pytestmark = pytest.mark.gl
@@ -140,9 +146,20 @@ def painted(context: moderngl.Context) -> Painted:
     return found
 
 
+def one_dimensional(context: moderngl.Context) -> OneDimensionalStage:
+    """Shown with and without a back."""
+    found = OneDimensionalStage(context, 4, 3)
+    found.light(exact_lobes(sky().T))
+    found.material(OneDimensional(transmitted=0.2))
+    for both in (True, False):
+        found.show(lobed(4, both, 2))
+        found.draw(context.extra, np.eye(4), np.ones(3))
+    return found
+
+
 OWNERS: dict[str, Callable[[moderngl.Context], Any]] = {
     "stage": stage, "rebuilding": rebuilding, "screen": screen, "overlay": overlay,
-    "painted": painted,
+    "painted": painted, "one-dimensional": one_dimensional,
     "all-frequency": lambda context: AllFrequencyStage(context, random_field()),
     "summed by the GPU": lambda context: AllFrequencyStage(context, random_field(), "gpu"),
     "lobes": lambda context: LobeStage(context, lobe_field(bumpy(1, 4), 2)),
@@ -194,6 +211,24 @@ def test_pictures_leave_nothing_behind(context, books):
                 show.draw(view, SIZE, context.extra)
         held.append(len(books.open))
     assert held[1] == held[2]
+    show.release()
+    assert not books.open
+    assert set(books.returned.values()) == {1}
+    show.release()
+
+
+def test_pictures_of_fields_leave_nothing_behind(context, books):
+    """Every mode, other numbers of lobes and poses: the second time round nothing more is held."""
+    show = FieldShow(context, of_mesh(), environment)
+    view = FieldView(split=0.5, right="harmonics")
+    held = []
+    for turn in range(3):
+        for view.left, view.count in (("lobes", 2), ("lobes", 3), ("one lobe", 3), ("truth", 3)):
+            view.twist = 10.0 * turn  # traced anew
+            show.settle(view)
+            show.draw(view, SIZE, context.extra)
+        held.append(len(books.open))
+    assert held[0] == held[1] == held[2]
     show.release()
     assert not books.open
     assert set(books.returned.values()) == {1}
