@@ -79,7 +79,10 @@ def cube_visibility(
     """
     if size < 8 or size % 8:
         raise ValueError(f"faces of {size} directions a side are no whole number of bytes")
-    tracer = Tracer(*joined(casters))
+    positions, faces = joined(casters)
+    tracer = Tracer(positions, faces)
+    reach = tracer.normalise(positions[np.unique(faces)])
+    radius2 = 1.001 * float(np.square(reach).sum(axis=1).max())  # of a ball around all casters
     # Of a vertex without a normal: whichever the transfer takes as well.
     normals = orthonormal_frames(surface.tangents, surface.normals)[..., 2]
     away = normals
@@ -94,7 +97,10 @@ def cube_visibility(
 
     def one(part: slice) -> None:
         seen = normals[part] @ every.T > 0.0  # [B, D]
-        point, direction = np.nonzero(seen)
+        # From outside of the ball only rays into it can hit anything: of the ground, few.
+        outside = np.maximum(np.square(starts[part]).sum(axis=1) - radius2, 0.0)
+        into = starts[part] @ every32.T <= np.where(outside > 0.0, -np.sqrt(outside), 9.9)[:, None]
+        point, direction = np.nonzero(seen & into)
         ways = every32[direction]
         hit = tracer.occluded(starts[part][point] + AHEAD * ways, ways)
         seen[point[hit], direction[hit]] = False

@@ -89,6 +89,23 @@ def test_the_part_of_the_sky_beside_a_wall():
     assert sky == pytest.approx((1.0 + math.sqrt(0.5)) / 2.0, abs=2e-3)
 
 
+def test_rays_that_pass_by_all_casters_are_left_out_rightly():
+    """A ball seen from outside hides a cone: sin of its half angle = r / d."""
+    away = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 40.0]], dtype=np.float32)
+    up = np.tile(np.float32([[0.0, 1.0, 0.0]]), (3, 1))
+    points = Surface(away, up, any_tangent(up).astype(np.float32), np.zeros((0, 3), np.int32))
+    ball = surface_of(shapes.icosphere(5, radius=0.9).apply_translation([0.0, 2.0, 0.0]))
+    found = cube_visibility(points, [ball], size=64)
+    seen = np.stack([found.seen(slice(None), face) for face in range(6)], axis=1)
+    for one, where in zip(seen, away, strict=True):
+        middle = np.array([0.0, 2.0, 0.0]) - where
+        distance = np.linalg.norm(middle)
+        cosine = directions(64) @ middle / distance
+        above = directions(64)[..., 1] > 0.0
+        expected = above & (cosine < math.sqrt(1.0 - (0.9 / distance) ** 2))
+        assert np.count_nonzero(one != expected) <= 0.01 * np.count_nonzero(above & ~expected) + 2
+
+
 def test_threads_and_other_casters_change_nothing_but_what_they_hide():
     surface = pair()
     alone = cube_visibility(surface, [surface], size=8)
