@@ -283,10 +283,14 @@ def export(argv: Sequence[str]) -> None:
 
 def render(argv: Sequence[str]) -> None:
     """Draw pictures or a movie of a posed scene, or of a baked field, without a window."""
+    from prtnet.array_file import ALL_FREQUENCY, kind_named
     from prtnet.cli_render_field import names_field
 
     if names_field(argv):
         render_field(argv)
+        return
+    if kind_named(argv) == ALL_FREQUENCY:
+        render_all_frequency(argv)
         return
     from prtnet.cli_arguments import check_output, input_file
     from prtnet.cli_options import RenderOptions
@@ -308,6 +312,17 @@ def render_field(argv: Sequence[str]) -> None:
     check_output(options.out, *options.inputs())
     work = threads(options.threads), session.console
     session.finish(make_field_picture(options, named_options(argv), *work))
+
+
+def render_all_frequency(argv: Sequence[str]) -> None:
+    """Draw an object with all-frequency transfer."""
+    from prtnet.cli_arguments import check_output
+    from prtnet.cli_render_all_frequency import AllFrequencyOptions, make_all_frequency_pictures
+
+    options, session = arguments("render", argv, AllFrequencyOptions)
+    check_output(options.out, *options.inputs())
+    work = threads(options.threads), session.console
+    session.finish(make_all_frequency_pictures(options, *work))
 
 
 def view(argv: Sequence[str]) -> None:

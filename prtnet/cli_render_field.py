@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from tyro.conf import Positional
 
-from prtnet.array_file import LOBES, TRANSFER, header_key
+from prtnet.array_file import LOBES, TRANSFER, header_key, kind_named
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
 from prtnet.limits import (
@@ -117,8 +117,7 @@ class FieldOptions:
 
 def names_field(argv: Sequence[str]) -> bool:
     """Whether the first file of these arguments that is ours is a field."""
-    keys = [header_key(word) for word in argv if word.endswith(".safetensors")]
-    return next((key for key in keys if key is not None), None) in (TRANSFER, LOBES)
+    return kind_named(argv) in (TRANSFER, LOBES)
 
 
 def check_options(
