@@ -108,3 +108,12 @@ def test_the_kind_of_a_file_decides(files):
     field = str(files / "ball.safetensors")
     assert kind_named(["--light", "sky", "absent.safetensors", field]) == ALL_FREQUENCY
     assert kind_named(["--light", "sky"]) is None
+
+
+def test_info_tells_of_all_that_stands_there(files, tmp_path):
+    facts = tmp_path / "facts.json"
+    argv = ["info", str(files / "on ground.safetensors"), "--json", str(facts), "--quiet"]
+    assert cli.run(argv) == 0
+    told = json.loads(facts.read_text())
+    assert (told["points"], told["rows"], told["cube_map"]) == (162, 3, 8)
+    assert told["beside_1"]["rows"] == 1
