@@ -6,7 +6,7 @@ Reading one runs no code of the file, and ends with arrays or with one line.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ __all__ = [
     "MODEL",
     "TRANSFER",
     "header_key",
+    "kind_named",
     "read_arrays",
     "write_arrays",
 ]
@@ -84,3 +85,9 @@ def header_key(path: str | Path) -> str | None:
     except (OSError, safetensors.SafetensorError):
         return None
     return next((key for key in MADE_BY if key in known), None)
+
+
+def kind_named(words: Sequence[str]) -> str | None:
+    """The kind of the first file of ours that a command line names; None where it names none."""
+    keys = [header_key(word) for word in words if word.endswith(".safetensors")]
+    return next((key for key in keys if key is not None), None)

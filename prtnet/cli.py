@@ -6,7 +6,6 @@ This module and the ``cli_…`` of its longer commands may import ``data_gen``, 
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import os
@@ -143,37 +142,16 @@ def arguments(name: str, argv: Sequence[str], *parts: Any) -> tuple[Any, ...]:
 
 
 def info(argv: Sequence[str]) -> None:
-    """Describe a scene, a dataset, a model or a field of transfer or lobes."""
-    from prtnet.array_file import LOBES, TRANSFER, header_key
+    """Describe a scene, a dataset, a model or a field."""
     from prtnet.cli_arguments import input_file
     from prtnet.cli_options import InfoOptions
 
     options, session = arguments("info", argv, InfoOptions)
     path = input_file(options.file, folder=True)
-    kind = header_key(path) if path.suffix == ".safetensors" else None
-    if kind in (TRANSFER, LOBES):
-        from prtnet.lobe_field import LobeField
-        from prtnet.transfer import TransferField
 
-        facts = (TransferField if kind == TRANSFER else LobeField).load(path).facts()
-    elif path.suffix == ".safetensors":
-        from prtnet.model import VisibilityModel
+    from prtnet.cli_info import described
 
-        facts = VisibilityModel.load(path).metadata
-        if "search" in facts:
-            facts = {**facts, "search": facts["search"]["why"]}
-    elif path.is_dir():
-        from prtnet.dataset import Dataset
-
-        dataset = Dataset.open(path)
-        sizes = {"poses": len(dataset), "receivers": len(dataset.receiver_side)}
-        facts = {**sizes, "held_out_poses": len(dataset.held_out_poses()), **dataset.attributes}
-    else:
-        from data_gen.readers import read_scene
-        from data_gen.scene_info import describe
-
-        facts = describe(read_scene(path))
-    session.finish(facts)
+    session.finish(described(path))
 
 
 def generate(argv: Sequence[str]) -> None:
@@ -281,12 +259,23 @@ def export(argv: Sequence[str]) -> None:
     session.finish(export_folder(model, options.out))
 
 
+def by_kind(
+    argv: Sequence[str],
+    field: Callable[[Sequence[str]], None],
+    all_frequency: Callable[[Sequence[str]], None],
+) -> bool:
+    """Hand the arguments to what their file is for; whether it is for one of these."""
+    from prtnet.array_file import ALL_FREQUENCY, LOBES, TRANSFER, kind_named
+
+    run = {TRANSFER: field, LOBES: field, ALL_FREQUENCY: all_frequency}.get(kind_named(argv) or "")
+    if run is not None:
+        run(argv)
+    return run is not None
+
+
 def render(argv: Sequence[str]) -> None:
     """Draw pictures or a movie of a posed scene, or of a baked field, without a window."""
-    from prtnet.cli_render_field import names_field
-
-    if names_field(argv):
-        render_field(argv)
+    if by_kind(argv, render_field, render_all_frequency):
         return
     from prtnet.cli_arguments import check_output, input_file
     from prtnet.cli_options import RenderOptions
@@ -310,12 +299,20 @@ def render_field(argv: Sequence[str]) -> None:
     session.finish(make_field_picture(options, named_options(argv), *work))
 
 
+def render_all_frequency(argv: Sequence[str]) -> None:
+    """Draw an object with all-frequency transfer."""
+    from prtnet.cli_arguments import check_output
+    from prtnet.cli_render_all_frequency import AllFrequencyOptions, make_all_frequency_pictures
+
+    options, session = arguments("render", argv, AllFrequencyOptions)
+    check_output(options.out, *options.inputs())
+    work = threads(options.threads), session.console
+    session.finish(make_all_frequency_pictures(options, *work))
+
+
 def view(argv: Sequence[str]) -> None:
     """Play a model, or show a baked field, in a window."""
-    from prtnet.cli_render_field import names_field
-
-    if names_field(argv):
-        view_field(argv)
+    if by_kind(argv, view_field, view_all_frequency):
         return
     from prtnet.cli_arguments import input_file
     from prtnet.cli_options import ViewOptions
@@ -326,7 +323,8 @@ def view(argv: Sequence[str]) -> None:
 
     from prtnet.cli_view import opened_viewer
 
-    played(opened_viewer(options, threads(options.threads), session.console.message), session)
+    viewer = opened_viewer(options, threads(options.threads), session.console.message)
+    played(viewer, session, "clip")
 
 
 def view_field(argv: Sequence[str]) -> None:
@@ -335,25 +333,24 @@ def view_field(argv: Sequence[str]) -> None:
 
     options, session = arguments("view", argv, ViewFieldOptions)
     work = threads(options.threads), session.console.message
-    played(opened_field_viewer(options, *work), session)
+    played(opened_field_viewer(options, *work), session, "clip")
 
 
-def played(viewer: Any, session: Session) -> None:
-    """A viewer until it is closed, then what there is to tell."""
-    from runtime.closed_display import on_closed_display
+def view_all_frequency(argv: Sequence[str]) -> None:
+    """Show an object with all-frequency transfer, in a window."""
+    from prtnet.cli_view_all_frequency import AllFrequencyViewOptions, opened_all_frequency_viewer
 
-    def leave() -> None:
-        with contextlib.suppress(Exception):  # it may be in the middle of it
-            viewer.stop_saving()
-        told = "display: was closed under the window; start again on one that lasts"
-        os._exit(fail(told, 2, False))  # Xlib lets nobody go on
+    options, session = arguments("view", argv, AllFrequencyViewOptions)
+    work = threads(options.threads), session.console.message
+    played(opened_all_frequency_viewer(options, *work), session, "light")
 
-    on_closed_display(leave)
-    try:
-        viewer.run()
-    finally:
-        viewer.close()
-    session.finish({"clip": viewer.view.clip, "milliseconds": viewer.show.milliseconds})
+
+def played(viewer: Any, session: Session, told: str) -> None:
+    """A viewer until it is closed, then what there is to tell: of its view, what a frame took."""
+    from prtnet.cli_view import until_closed
+
+    until_closed(viewer, fail)
+    session.finish({told: getattr(viewer.view, told), "milliseconds": viewer.show.milliseconds})
 
 
 def report(argv: Sequence[str]) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from tyro.conf import Positional
 
-from prtnet.array_file import LOBES, TRANSFER, header_key
+from prtnet.array_file import LOBES, header_key
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
 from prtnet.limits import (
@@ -46,7 +46,6 @@ __all__ = [
     "FieldOptions",
     "fitted_to",
     "make_field_picture",
-    "names_field",
     "read_field",
     "retraced",
     "worn_by",
@@ -113,12 +112,6 @@ class FieldOptions:
         """The files that are read."""
         named = [Path(text) for text in (self.on, self.compare, self.light) if text]
         return [self.field, *(path for path in named if path.is_file())]
-
-
-def names_field(argv: Sequence[str]) -> bool:
-    """Whether the first file of these arguments that is ours is a field."""
-    keys = [header_key(word) for word in argv if word.endswith(".safetensors")]
-    return next((key for key in keys if key is not None), None) in (TRANSFER, LOBES)
 
 
 def check_options(

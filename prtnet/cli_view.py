@@ -6,7 +6,9 @@ ray-traced truth beside the prediction.
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,10 +28,11 @@ if TYPE_CHECKING:
     from prtnet.arrays import FloatArray
     from prtnet.cli_options import ViewOptions
     from prtnet.model import VisibilityModel
+    from runtime.base_viewer import BaseViewer
     from runtime.cast import Cast
     from runtime.viewer import Viewer
 
-__all__ = ["cast_of", "opened_viewer"]
+__all__ = ["cast_of", "opened_viewer", "until_closed"]
 
 
 def opened_viewer(
@@ -74,6 +77,28 @@ def opened_viewer(
         window.close()
         window.destroy()
         raise
+
+
+def until_closed(viewer: BaseViewer[Any, Any, Any], fail: Callable[[str, int, bool], int]) -> None:
+    """Run a window, then give everything back.
+
+    Args:
+        viewer: the window.
+        fail: prints an error and gives the exit status, for a display that goes away under it.
+    """
+    from runtime.closed_display import on_closed_display
+
+    def leave() -> None:
+        with contextlib.suppress(Exception):  # it may be in the middle of it
+            viewer.stop_saving()
+        told = "display: was closed under the window; start again on one that lasts"
+        os._exit(fail(told, 2, False))  # Xlib lets nobody go on
+
+    on_closed_display(leave)
+    try:
+        viewer.run()
+    finally:
+        viewer.close()
 
 
 def cast_of(model_file: Path, scene_file: Path, rays: int, threads: int) -> Cast:

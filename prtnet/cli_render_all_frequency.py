@@ -1,0 +1,128 @@
+"""The work of ``prtnet render`` of all-frequency fields: an object under a sharp light that turns.
+
+Beside ``prtnet.cli``, which it serves, it may import the other packages.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from tyro.conf import Positional
+
+from prtnet.all_frequency_file import facts, load_fields
+from prtnet.cube_map import segment_coefficients
+from prtnet.environment import about_up, environment
+from prtnet.errors import PrtnetError
+from prtnet.limits import MOST_PIXELS, MOST_THREADS, check_side, check_within
+from prtnet.turning_light import TurningLight
+
+if TYPE_CHECKING:
+    from prtnet.all_frequency import AllFrequencyField
+    from prtnet.console import Console
+
+__all__ = ["AllFrequencyOptions", "make_all_frequency_pictures"]
+
+SAMPLES = 4  # a pixel
+LEAST = {"light_turn": -1e6, "azimuth": -1e6, "elevation": -89, "zoom": 0.1, "exposure": -20,
+         "spin": 1, "fps": 1, "threads": 1}  # fmt: skip
+MOST = {"light_turn": 1e6, "azimuth": 1e6, "elevation": 89, "zoom": 100, "exposure": 20,
+        "spin": 999, "fps": 240, "threads": MOST_THREADS}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AllFrequencyOptions:
+    """Options of ``prtnet render`` of a field of all-frequency transfer."""
+
+    field: Positional[Path]  # from prtnet bake-all-frequency
+    out: Path  # picture to write, .png, or with --spin a movie, .mp4
+    light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
+    light_turn: float = 0.0  # turn the light about the vertical by so many degrees
+    ground: bool = True  # show what stands beside the object, too
+    size: tuple[int, int] = (640, 640)  # of the picture, in pixels
+    azimuth: float = 30.0  # of the camera: degrees to the left of the object from in front
+    elevation: float = 12.0  # of the camera: degrees above the horizon
+    zoom: float = 1.0  # how many times closer than what shows the whole object
+    exposure: float = 0.0  # stops brighter
+    spin: int | None = None  # so many pictures all around, OUT with a number before its .png
+    spins: Literal["camera", "light"] = "camera"  # what goes around
+    fps: int = 30  # pictures a second of a movie
+    renderer: Literal["gl", "cpu"] | None = None  # OpenGL or NumPy; OpenGL where there is one
+    threads: int | None = None  # CPU threads; all cores when not given
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        for option, least in LEAST.items():
+            name = f"--{option.replace('_', '-')}"
+            check_within(name, getattr(self, option), least, MOST[option])
+        check_side("--size", self.size, MOST_PIXELS)
+        if self.out.suffix.lower() not in (".png", ".mp4"):
+            what = "is no name of a PNG picture or of a movie; end it in .png or .mp4"
+            raise PrtnetError(self.out, what)
+        if self.spin is None and (self.moving or self.spins == "light"):
+            raise PrtnetError("--spin", "is missing: say how many pictures go all around")
+
+    @property
+    def moving(self) -> bool:
+        """Whether a movie is wanted."""
+        return self.out.suffix.lower() == ".mp4"
+
+    def inputs(self) -> list[Path]:
+        """The files that are read."""
+        light = Path(self.light)
+        return [self.field, *([light] if light.is_file() else [])]
+
+
+def make_all_frequency_pictures(
+    options: AllFrequencyOptions, threads: int, console: Console
+) -> dict[str, Any]:
+    """Write the picture, pictures or movie; facts about them.
+
+    Raises:
+        PrtnetError: the file is none, there is no such light, or a picture cannot be written.
+    """
+    import torch
+
+    from runtime.all_frequency_shot import framing, opened
+    from runtime.draw import averaged, finer, usable
+    from runtime.picture import auto_exposure, develop
+    from runtime.reel import opened_reel, reel, saved_frames
+
+    torch.set_num_threads(threads)
+    fields = shown(options)
+    source = environment(options.light)
+    aspect = options.size[0] / options.size[1]
+    angles = np.radians([options.azimuth, options.elevation]).tolist()
+    camera = framing(fields, aspect, *angles).nearer(options.zoom)
+    frames = reel(options.out, options.spin, 0.0, ())
+    turns, exposure = options.spins == "light", 0.0  # one exposure for all pictures
+    with contextlib.ExitStack() as held:
+        renderer = options.renderer or usable(console.message)
+        size = finer(options.size, SAMPLES)
+        drawer = held.enter_context(opened(fields, renderer, size))
+        report = held.enter_context(console.progress())
+        report("light", 0, 0)
+        light = TurningLight(source, fields[0].size)
+        write = held.enter_context(opened_reel(options.out, options.fps))
+        for number, frame in enumerate(frames):
+            report("pictures", number, len(frames))
+            if number == 0 or turns:
+                turn = options.light_turn + (math.degrees(frame.turn) if turns else 0.0)
+                drawer.light(segment_coefficients(light.at(about_up(turn))))
+            seen = camera if turns else camera.around(frame.turn)
+            fine = drawer.draw(seen.matrix(aspect), np.asarray(seen.eye))
+            linear = averaged(fine, options.size)
+            exposure = exposure or auto_exposure(linear)
+            write(frame, develop(linear, exposure * 2.0**options.exposure))
+    out = saved_frames(frames, options.out)
+    return {"out": out, **facts(fields), "size": options.size, "pictures": len(frames)}
+
+
+def shown(options: AllFrequencyOptions) -> tuple[AllFrequencyField, ...]:
+    """The fields of the file, or the object alone."""
+    fields = load_fields(options.field)
+    return fields if options.ground else fields[:1]

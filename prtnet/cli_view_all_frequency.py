@@ -1,0 +1,79 @@
+"""The work of ``prtnet view`` of all-frequency fields: a window with an object in a turning light.
+
+Beside ``prtnet.cli``, which it serves, it may import the other packages.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from prtnet.all_frequency_file import load_fields
+from prtnet.environment import environment
+from prtnet.errors import PrtnetError
+from prtnet.limits import MOST_PIXELS, MOST_THREADS, check_side, check_within
+from prtnet.presets import PRESETS
+
+if TYPE_CHECKING:
+    from runtime.all_frequency_viewer import AllFrequencyViewer
+
+__all__ = ["AllFrequencyViewOptions", "opened_all_frequency_viewer"]
+
+
+@dataclass(frozen=True)
+class AllFrequencyViewOptions:
+    """Options of ``prtnet view`` of a field of all-frequency transfer."""
+
+    field: Positional[Path]  # from prtnet bake-all-frequency
+    light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
+    turning: float = 30.0  # degrees that the light turns in a second
+    size: tuple[int, int] = (1280, 800)  # of the window, in pixels
+    out: Path = Path()  # folder of saved pictures
+    threads: int | None = None  # CPU threads; all cores when not given
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        check_within("--turning", self.turning, -3600, 3600)
+        check_within("--threads", self.threads, 1, MOST_THREADS)
+        check_side("--size", self.size, MOST_PIXELS)
+
+
+def opened_all_frequency_viewer(
+    options: AllFrequencyViewOptions,
+    threads: int,
+    say: Callable[[str], None],
+    visible: bool = True,
+) -> AllFrequencyViewer:
+    """The window, ready to run.
+
+    Raises:
+        PrtnetError: the file is none, there is no such light, or no window can be opened.
+    """
+    import torch
+
+    from runtime.all_frequency_sight import AllFrequencySight, AllFrequencyView
+    from runtime.all_frequency_viewer import AllFrequencyDesk, AllFrequencyViewer
+    from runtime.base_viewer import open_window
+
+    torch.set_num_threads(threads)
+    environments = functools.cache(environment)
+    environments(options.light)
+    fields = load_fields(options.field)
+    if not options.out.is_dir():
+        raise PrtnetError(options.out, "is no folder to save pictures in; make it, or give another")
+    view = AllFrequencyView(light=options.light, turning=options.turning)
+    desk = AllFrequencyDesk(list(PRESETS), options.out, say, load_fields)
+    window = open_window(f"prtnet: {options.field.name}", options.size, visible)
+    try:
+        size = options.field.stat().st_size
+        show = AllFrequencySight(window.ctx, fields, environments, size)
+        return AllFrequencyViewer(window, show, view, desk)
+    except BaseException:
+        window.close()
+        window.destroy()
+        raise
