@@ -1,0 +1,98 @@
+"""Points that clusters and subspaces have too few of, or too much alike."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.training.test_cpca import rebuilt
+from training.cpca import CpcaConfig, clustered_components
+
+
+def points_of(count: int, dims: int, rank: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return (rng.normal(size=(count, rank)) @ rng.normal(size=(rank, dims))).astype(np.float32)
+
+
+def all_clusters(points: np.ndarray, config: CpcaConfig) -> float:
+    """The error; whatever is asked for, no cluster is empty and all is finite."""
+    found = clustered_components(points, config)
+    some = points.any(axis=1)
+    count = min(config.clusters, int(some.sum()))
+    assert set(found.label[some]) == set(range(count))
+    assert (found.label[~some] == -1).all()
+    assert found.axes.shape[0] == count
+    for array in (found.axes, found.values, found.weights):
+        assert np.isfinite(array).all()
+    missed = np.square(rebuilt(found) - points).sum()
+    energy = np.square(points.astype(np.float64)).sum()
+    assert found.error * energy == pytest.approx(missed, rel=1e-3, abs=1e-6 * energy)
+    return found.error
+
+
+@given(
+    st.integers(0, 12),
+    st.integers(1, 9),
+    st.integers(1, 5),
+    st.integers(1, 20),
+    st.integers(0, 6),
+    st.booleans(),
+    st.integers(0, 5),
+)
+@settings(max_examples=60)
+def test_any_numbers_of_anything(
+    count: int, dims: int, rank: int, clusters: int, terms: int, affine: bool, seed: int
+) -> None:
+    all_clusters(points_of(count, dims, rank, seed), CpcaConfig(clusters, terms, affine))
+
+
+def test_fewer_points_than_clusters() -> None:
+    """Each is its own cluster, exactly."""
+    assert all_clusters(points_of(5, 40, 5, 0), CpcaConfig(30, 16)) < 1e-9
+    assert all_clusters(points_of(5, 40, 5, 0), CpcaConfig(30, 1)) < 1e-9
+
+
+@pytest.mark.parametrize("affine", [False, True])
+def test_identical_points(affine: bool) -> None:
+    points = np.tile(points_of(1, 300, 1, 1), (500, 1))
+    assert all_clusters(points, CpcaConfig(7, 4, affine)) < 1e-9
+    # Nearly all of them identical.
+    points[:3] = points_of(3, 300, 3, 2)
+    assert all_clusters(points, CpcaConfig(7, 4, affine)) < 1e-9
+
+
+def test_points_that_are_multiples_of_each_other() -> None:
+    points = np.outer(np.linspace(-1.0, 1.0, 101), points_of(1, 300, 1, 3)).astype(np.float32)
+    assert all_clusters(points, CpcaConfig(3, 5)) < 1e-9  # one of them is zero
+
+
+def test_more_terms_than_the_rank() -> None:
+    points = points_of(400, 300, 3, 4)
+    found = clustered_components(points, CpcaConfig(2, 16))
+    assert found.error < 1e-9
+    assert (np.linalg.norm(found.axes, axis=2) > 0.5).sum(axis=1).max() <= 3
+    assert all_clusters(points, CpcaConfig(2, 400)) < 1e-9
+
+
+def test_nothing_but_zeros() -> None:
+    found = clustered_components(np.zeros((9, 4), dtype=np.float32), CpcaConfig(3))
+    assert found.error == 0.0
+    assert (found.label == -1).all()
+    assert len(found.axes) == 0
+
+
+def test_one_giant_among_dwarfs() -> None:
+    points = 1e-6 * points_of(300, 50, 20, 5)
+    points[7] *= 1e9
+    assert all_clusters(points, CpcaConfig(4, 2)) < 1e-6
+
+
+@pytest.mark.parametrize("size", [1e-18, 1e15])
+def test_units_do_not_matter(size: float) -> None:
+    points = points_of(200, 30, 20, 6)
+    one, other = (
+        clustered_components(times * points, CpcaConfig(4, 3)) for times in (1.0, np.float32(size))
+    )
+    assert other.error == pytest.approx(one.error, rel=0.05)
