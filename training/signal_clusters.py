@@ -1,17 +1,17 @@
 """Clusters of receivers whose visibility varies alike: clustered principal components.
 
-Sloan, Hall, Hart, Snyder, "Clustered principal components for precomputed radiance transfer",
-SIGGRAPH 2003: assign every receiver to the cluster whose subspace holds most of it, fit the
-subspaces anew, and so on. Here a cluster's components are courses over the poses, as the latents
-of a model are, and clusters are equally large.
+The engine is ``training.cpca``. Here a cluster's components are courses over the poses, as the
+latents of a model are, clusters have as many components as they need, and are equally large.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from prtnet.arrays import FloatArray, IntArray
 from training.clusters import assign_balanced, slots_of
+from training.cpca import Subspaces, alternate, lost, subspaces
 from training.reduction import choose_counts
 
 __all__ = ["lost_energy", "signal_clusters"]
@@ -50,20 +50,22 @@ def lost_energy(
         components: dimensions of the subspaces on average; as in a model, the largest of all
             clusters are kept.
     """
-    flat = course.reshape(len(course), -1)
-    energy = np.einsum("kvi,kvi->v", course, course)
-    lost = np.tile(energy[:, None], (1, clusters))
-    values = np.zeros((clusters, len(course)))
-    vectors = np.zeros((clusters, len(course), len(course)), dtype=np.float32)
-    for cluster in np.unique(label):
-        own = course[:, label == cluster].reshape(len(course), -1)
-        ascending, columns = np.linalg.eigh((own @ own.T).astype(np.float64))
-        values[cluster] = np.maximum(ascending[::-1], 0.0)
-        vectors[cluster] = columns[:, ::-1]
-    for cluster, count in enumerate(choose_counts(values, 1.0, components, 1)):
-        held = (vectors[cluster, :, :count].T @ flat).reshape(-1, *course.shape[1:])
-        lost[:, cluster] -= np.einsum("kvi,kvi->v", held, held)
-    return lost
+    signal = vectors_of(course)
+    found = needed(signal, torch.as_tensor(label), clusters, components)
+    return np.asarray(lost(signal, found).numpy())
+
+
+def vectors_of(course: FloatArray) -> torch.Tensor:
+    """Signals (K, V, n²) as a receiver's vectors of K numbers, (V, n², K)."""
+    return torch.as_tensor(course).permute(1, 2, 0).contiguous()
+
+
+def needed(
+    signal: torch.Tensor, label: torch.Tensor, clusters: int, components: float
+) -> Subspaces:
+    """The subspaces of clusters whose axes are, as a model's, the largest of all clusters."""
+    found = subspaces(signal, label, clusters, signal.shape[2])
+    return found.kept(choose_counts(found.values.double().numpy(), 1.0, components, 1))
 
 
 def assign_by_regret(cost: FloatArray, capacity: int) -> IntArray:
@@ -104,12 +106,13 @@ def signal_clusters(
     label: IntArray = np.empty(visibility.shape[1], dtype=np.int64)
     cluster, slot = np.nonzero(slots >= 0)
     label[slots[cluster, slot]] = cluster
-    best, least = label, np.inf
-    for _ in range(rounds):
-        lost = lost_energy(course, label, clusters, components)
-        total = float(lost[np.arange(len(label)), label].sum())
-        if total >= least:
-            break
-        best, least = label, total
-        label = assign_by_regret(lost, capacity)
+    signal = vectors_of(course)
+
+    def fit(label: torch.Tensor) -> Subspaces:
+        return needed(signal, label, clusters, components)
+
+    def assign(left: torch.Tensor) -> torch.Tensor:
+        return torch.as_tensor(assign_by_regret(left.numpy(), capacity))
+
+    best = alternate(signal, torch.as_tensor(label), fit, assign, rounds).numpy()
     return slots_of(best, clusters, capacity)

@@ -1,18 +1,18 @@
 """A cluster's receivers in groups whose visibility moves together: clustered PCA.
 
-After Sloan, Hall, Hart and Snyder 2003, "Clustered Principal Components for Precomputed Radiance
-Transfer": every receiver joins the group whose principal components hold most of its signal, and
-the groups' components are found anew, in turn. Groups are equally large; a cluster's signals are
-first compressed to a few moments in time, so that a round is cheap.
+The engine is ``training.cpca``. Groups are equally large; a cluster's signals are first compressed
+to a few moments in time, so that a round is cheap.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
+import torch
 
 from prtnet.arrays import FloatArray, IntArray
 from training.clusters import assign_balanced
+from training.cpca import Subspaces, alternate, subspaces
 
 __all__ = ["regroup"]
 
@@ -63,18 +63,12 @@ def rounds(signal: FloatArray, label: IntArray, parts: int, count: int, capacity
         count: components a group.
         capacity: of a group.
     """
-    energy = np.square(signal).sum(axis=(1, 2))
-    best, least = label, np.inf
-    for _ in range(ROUNDS):
-        lost = np.empty((len(signal), parts))
-        for part in range(parts):
-            rows = np.swapaxes(signal[label == part], 1, 2).reshape(-1, signal.shape[1])
-            _, vectors = np.linalg.eigh(rows.T @ rows)
-            kept = vectors[:, -count:].T @ signal  # [R, count, n²]
-            lost[:, part] = energy - np.square(kept).sum(axis=(1, 2))
-        total = float(lost[np.arange(len(label)), label].sum())
-        if not total < least:
-            break
-        best, least = label, total
-        label = assign_balanced(lost, capacity)
-    return best
+    vectors = torch.as_tensor(signal).swapaxes(1, 2).contiguous()  # [R, n², M]
+
+    def fit(label: torch.Tensor) -> Subspaces:
+        return subspaces(vectors, label, parts, count)
+
+    def assign(lost: torch.Tensor) -> torch.Tensor:
+        return torch.as_tensor(assign_balanced(lost.numpy(), capacity))
+
+    return alternate(vectors, torch.as_tensor(label), fit, assign, ROUNDS).numpy()
