@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from prtnet.all_frequency import check_segment
+from prtnet.haar import unhaar
+from tests.all_frequency import dense_segment
+from tests.training.test_all_frequency import raw_segment
 from tests.training.test_cpca import rebuilt
+from training.all_frequency import CompressConfig, compressed
 from training.cpca import CpcaConfig, clustered_components
 
 
@@ -96,3 +101,50 @@ def test_units_do_not_matter(size: float) -> None:
         clustered_components(times * points, CpcaConfig(4, 3)) for times in (1.0, np.float32(size))
     )
     assert other.error == pytest.approx(one.error, rel=0.05)
+
+
+def test_16_bits_hold_a_giant_and_its_dwarfs() -> None:
+    """A vertex a million times as bright as the others saturates nothing and drowns nobody."""
+    raw = raw_segment(0)
+    shines = np.flatnonzero(raw.any(axis=(1, 2)))[0]
+    raw[shines] *= 1e6
+    segment, lost = compressed(raw, CompressConfig(6, 30, 0.0))
+    values = segment.representatives.values
+    assert np.abs(values.astype(int)).max() == 32767  # every representative uses all its bits
+    assert np.abs(segment.weights.astype(int)).max() == 32767
+    back = unhaar(dense_segment(segment, len(raw)).reshape(len(raw), 2, 4, 4)).reshape(raw.shape)
+    assert np.abs(back[shines] - raw[shines]).max() < 1e-4 * raw[shines].max()
+    assert lost.errors()["stored"] < 1e-8
+    others = np.delete(np.arange(len(raw)), shines)
+    missed = np.square(back[others] - raw[others]).sum() / np.square(raw[others]).sum()
+    assert missed < 0.05
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e12])
+def test_16_bits_of_any_unit(size: float) -> None:
+    raw = raw_segment(1)
+    one, other = (
+        compressed(times * raw, CompressConfig(6, 30))[1].errors()
+        for times in (np.float32(1.0), np.float32(size))
+    )
+    assert other["stored"] == pytest.approx(one["stored"], rel=0.05)
+
+
+def test_a_vertex_that_sees_nothing_and_one_that_sees_all() -> None:
+    raw = raw_segment(2)
+    raw[0], raw[1] = 0.0, 1.0
+    segment, _ = compressed(raw, CompressConfig(6, 30, 0.002))
+    back = unhaar(dense_segment(segment, len(raw)).reshape(len(raw), 2, 4, 4)).reshape(raw.shape)
+    assert 0 not in segment.vertices
+    assert np.abs(back[1] - 1.0).max() < 0.2
+
+
+@pytest.mark.parametrize("reached", [0, 1, 3])
+def test_a_segment_that_reaches_next_to_nobody(reached: int) -> None:
+    raw = raw_segment(3)
+    some = np.flatnonzero(raw.any(axis=(1, 2)))
+    raw[some[reached:]] = 0.0
+    segment, lost = compressed(raw, CompressConfig(16, 200, 0.0))
+    check_segment(segment, len(raw), 32)
+    assert segment.clusters == min(reached, 1)
+    assert lost.errors()["stored"] < 1e-8
