@@ -32,7 +32,8 @@ ALLOWED = {
     "runtime": {"prtnet", "runtime"},
 }
 # Commands drive all packages; a report, which trains and draws, is long enough for its own module.
-COMMANDS_OF = ("", "_bake", "_evaluate", "_render", "_render_field", "_report", "_train", "_view")
+COMMANDS_OF = ("", "_bake", "_bake_all_frequency", "_evaluate", "_render", "_render_field",
+               "_report", "_train", "_view")  # fmt: skip
 COMMAND_LINE = tuple(f"prtnet/cli{name}.py" for name in COMMANDS_OF)
 FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
 FORBIDDEN_CALLS = {"eval", "exec", "torch.load", "pandas.read_pickle", "yaml.load"}
