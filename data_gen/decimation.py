@@ -86,7 +86,7 @@ def alive(faces: IntArray) -> BoolArray:
 
 
 def coarsen(
-    vertices: FloatArray, faces: IntArray, project: Projection, longest: float
+    vertices: FloatArray, faces: IntArray, project: Projection, longest: float, fewest: int = 0
 ) -> tuple[FloatArray, IntArray]:
     """A mesh whose edges nearly all cost ``longest``, in metres, or more.
 
@@ -95,6 +95,7 @@ def coarsen(
         faces: triangles (T, 3) of a manifold.
         project: gives points (N, 3) near the surface their place on it and the unit normals there.
         longest: see above.
+        fewest: vertices to stop at.
     """
     count = len(vertices)
     border = vertices[:, 0] == 0
@@ -106,7 +107,9 @@ def coarsen(
         cost = np.linalg.norm(vertices[i] - vertices[j], axis=1)
         cost += TURN_LENGTH * np.linalg.norm(normals[i] - normals[j], axis=1)
         cost[~allowed | (cost >= longest) | np.isin(i * count + j, refused)] = np.inf
-        i, j = edges[independent(edges, cost, count)].T
+        chosen = np.flatnonzero(independent(edges, cost, count))
+        spare = max(0, len(np.unique(faces)) - fewest)
+        i, j = edges[chosen[np.argsort(cost[chosen], kind="stable")[:spare]]].T
         if len(i) == 0:
             break
         middle = 0.5 * (vertices[i] + vertices[j])

@@ -138,7 +138,7 @@ def facts(fields: Sequence[AllFrequencyField]) -> dict[str, Any]:
             "rows": one.rows,
             "reached": reached(one),
             "clusters": sum(each.clusters for each in one.segments),
-            "bytes": sizes(one),
+            "sizes": sizes(one),
             **one.metadata,
         }
         told |= own if number == 0 else {f"beside_{number}": own}

@@ -142,14 +142,30 @@ def arguments(name: str, argv: Sequence[str], *parts: Any) -> tuple[Any, ...]:
 
 
 def info(argv: Sequence[str]) -> None:
+<<<<<<< HEAD
     """Describe a scene, a dataset, a model or a field."""
+=======
+    """Describe a scene, a dataset, a model or a field of transfer or lobes."""
+    from prtnet.array_file import ALL_FREQUENCY, LOBES, TRANSFER, header_key
+>>>>>>> af-cpca
     from prtnet.cli_arguments import input_file
     from prtnet.cli_options import InfoOptions
 
     options, session = arguments("info", argv, InfoOptions)
     path = input_file(options.file, folder=True)
 
+<<<<<<< HEAD
     from prtnet.cli_info import described
+=======
+        facts = (TransferField if kind == TRANSFER else LobeField).load(path).facts()
+    elif kind == ALL_FREQUENCY:
+        from prtnet.all_frequency_file import facts as facts_of
+        from prtnet.all_frequency_file import load_fields
+
+        facts = facts_of(load_fields(path))
+    elif path.suffix == ".safetensors":
+        from prtnet.model import VisibilityModel
+>>>>>>> af-cpca
 
     session.finish(described(path))
 
@@ -387,6 +403,28 @@ def bake(argv: Sequence[str]) -> None:
     session.finish({"out": options.out, "bytes": options.out.stat().st_size, **facts})
 
 
+def bake_all_frequency(argv: Sequence[str]) -> None:
+    """Simulate and compress how a still object answers sharp light."""
+    from prtnet.cli_arguments import check_output
+    from prtnet.cli_bake_all_frequency import AllFrequencyOptions, baked_fields, stages
+
+    options, session = arguments("bake-all-frequency", argv, AllFrequencyOptions)
+    check_output(options.out, *options.inputs())
+
+    from prtnet.all_frequency_file import facts, save_fields
+
+    with session.console.progress() as report:
+        fields = baked_fields(options, threads(options.threads), report)
+    save_fields(options.out, fields)
+    for field in fields:
+        columns = (field.metadata["source"], "bytes", "of raw", "squared error")
+        session.console.table(columns, stages(field))
+    results = {"out": options.out, "bytes": options.out.stat().st_size, **facts(fields)}
+    lists = ("sizes", "squared_error", "squared_error_of_segments", "dropped")
+    shown = {k: v for k, v in results.items() if k not in lists and not k.startswith("beside")}
+    session.finish(results, shown)
+
+
 def demo(argv: Sequence[str]) -> None:
     """Everything, on the bundled character."""
     from prtnet.cli_arguments import output_folder
@@ -469,6 +507,11 @@ COMMANDS = {
         bake,
         "Simulate how a mesh, or a relief on any mesh, answers light: shadows, bounces, scatter.",
         "prtnet bake waffle --out waffle.safetensors --subsurface marble --metres 0.03",
+    ),
+    "bake-all-frequency": Command(
+        bake_all_frequency,
+        "Simulate a still object for sharp, moving light: shadows with hard edges, glossy too.",
+        "prtnet bake-all-frequency bunny.ply --out bunny.safetensors --brdf gold --ground",
     ),
     "demo": Command(demo, "Do all of it on a bundled character.", "prtnet demo --out demo"),
 }

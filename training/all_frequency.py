@@ -137,10 +137,9 @@ def compressed(raw: FloatArray, config: CompressConfig) -> tuple[Segment, Losses
     """A segment (P, m, (n/2)²) as it is stored, and what that loses."""
     points = raw.reshape(len(raw), -1)
     reached = int(points.any(axis=1).sum())
-    cpca = CpcaConfig(
-        config.clusters(reached), config.terms, rounds=config.rounds, seed=config.seed
-    )
-    found = clustered_components(points, cpca)
+    many = config.clusters(reached)
+    how = CpcaConfig(many, config.terms, rounds=config.rounds, seed=config.seed)
+    found = clustered_components(points, how)
     order = np.argsort(found.label, kind="stable")[len(raw) - reached :]
     sizes = np.bincount(found.label[order], minlength=len(found.axes))
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)

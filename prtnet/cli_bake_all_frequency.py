@@ -1,0 +1,174 @@
+"""The work of ``prtnet bake-all-frequency``: a still object for light of all frequencies.
+
+Beside ``prtnet.cli``, which it serves, it may import the other packages: rays are ``data_gen``'s,
+clusters ``training``'s.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+from prtnet.errors import PrtnetError
+
+if TYPE_CHECKING:
+    from prtnet.all_frequency import AllFrequencyField
+    from prtnet.all_frequency_factors import RowFactors
+    from prtnet.console import Report
+    from prtnet.transfer import Surface
+    from training.all_frequency import CompressConfig
+
+__all__ = ["AllFrequencyOptions", "baked_fields", "stages"]
+
+TEXELS = (8, 16, 32, 64)  # that halve to one, and whose directions fill bytes
+GROUND = "lambert:diffuse=0.5"
+
+
+@dataclass(frozen=True)
+class AllFrequencyOptions:
+    """Options of ``prtnet bake-all-frequency``."""
+
+    source: Positional[Path]  # mesh: .ply, .obj, .stl, .off, or a scene at rest
+    out: Path  # field to write, a .safetensors file
+    brdf: str = "matte"  # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file
+    rows: int = 10  # products that a glossy BRDF is a sum of; a matte one needs one
+    vertices: int | None = None  # decimate a finer mesh to so many
+    ground: bool = False  # a matte ground under the object, shadowed by it
+    texels: int = 32  # of a face of the light's cube map, a side: 8, 16, 32 or 64
+    terms: int = 16  # representatives of a cluster
+    points_per_cluster: int = 200  # vertices that share representatives, on average
+    error: str = "0.2%"  # squared error to stay below, where clusters leave room for it
+    seed: int = 0  # of the clusters
+    threads: int | None = None  # CPU threads; all cores when not given
+
+    def __post_init__(self) -> None:
+        """Refuse values that cannot work."""
+        from prtnet.cli_options import fraction_of
+
+        counts = {"--rows": (self.rows, 1, 64), "--terms": (self.terms, 1, 256),
+                  "--points-per-cluster": (self.points_per_cluster, 1, 1 << 20)}  # fmt: skip
+        if self.vertices is not None:
+            counts["--vertices"] = (self.vertices, 4, 1 << 24)
+        if self.threads is not None:
+            counts["--threads"] = (self.threads, 1, 1024)
+        for option, (value, least, most) in counts.items():
+            if not least <= value <= most:
+                raise PrtnetError(option, f"is {value}; it must be from {least} to {most}")
+        if self.texels not in TEXELS:
+            raise PrtnetError("--texels", f"is {self.texels}; give 8, 16, 32 or 64")
+        if not 0.0 <= (fraction_of("--error", self.error) or 0.0) < 1.0:
+            raise PrtnetError("--error", f"is {self.error}; it must be from 0 to below 100%")
+        if self.out.suffix.lower() != ".safetensors":
+            raise PrtnetError(self.out, "is no name of a field; end it in .safetensors")
+
+    def inputs(self) -> list[Path]:
+        """The files that are read."""
+        return [path for path in (self.source, Path(self.brdf)) if path.is_file()]
+
+    def compression(self) -> CompressConfig:
+        """How much is kept."""
+        from prtnet.cli_options import fraction_of
+        from training.all_frequency import CompressConfig
+
+        error = fraction_of("--error", self.error) or 0.0
+        return CompressConfig(self.terms, self.points_per_cluster, error, seed=self.seed)
+
+
+def baked_fields(
+    options: AllFrequencyOptions, threads: int, report: Report
+) -> tuple[AllFrequencyField, ...]:
+    """The object, and the ground if it is asked for.
+
+    Raises:
+        PrtnetError: the mesh or the material is none, or cannot be read.
+    """
+    import torch
+
+    from data_gen.all_frequency import ground
+    from data_gen.coarse_mesh import coarser
+    from data_gen.static_mesh import read_mesh
+    from prtnet.all_frequency_factors import row_factors
+    from prtnet.materials import brdf_named
+    from prtnet.transfer import Surface
+
+    torch.set_num_threads(threads)
+    brdf = brdf_named(options.brdf)
+    mesh = read_mesh(options.source)
+    fine = mesh if options.vertices is None else coarser(mesh, options.vertices)
+    surface = Surface(fine.positions, fine.normals, fine.tangents, fine.faces)
+    measured = Path(options.brdf)
+    told = {
+        "source": options.source.name,
+        "brdf": measured.name if measured.is_file() else options.brdf,
+        "dropped": list(mesh.dropped),
+    }
+    if not options.ground:
+        return (one(options, surface, [surface], row_factors(brdf, options.rows), told, threads,
+                    report),)  # fmt: skip
+    under = ground(surface)
+    both = [surface, under]
+    beside = {"source": "ground", "brdf": GROUND}
+    matte = row_factors(brdf_named(GROUND))
+    return (
+        one(options, surface, both, row_factors(brdf, options.rows), told, threads, report),
+        one(options, under, both, matte, beside, threads, report),
+    )
+
+
+def one(
+    options: AllFrequencyOptions,
+    surface: Surface,
+    casters: Sequence[Surface],
+    rows: RowFactors,
+    told: Mapping[str, Any],
+    threads: int,
+    report: Report,
+) -> AllFrequencyField:
+    """A surface in the shadow of casters."""
+    import dataclasses
+
+    from data_gen.all_frequency import SAMPLES, transfer_segments
+    from data_gen.cube_visibility import cube_visibility
+    from training.all_frequency import compress
+
+    started = time.perf_counter()
+    seen = cube_visibility(surface, casters, SAMPLES * options.texels, threads, report)
+    traced = time.perf_counter()
+    segments: Iterator[Any] = transfer_segments(surface, seen, rows, threads, report)
+    found = compress(
+        segments, surface, rows.view, options.texels, options.compression(),
+        {**told, **rows.facts()}, report,
+    )  # fmt: skip
+    seconds = {"visibility": traced - started, "compression": time.perf_counter() - traced}
+    return dataclasses.replace(found, metadata={**found.metadata, "seconds": seconds})
+
+
+def stages(field: AllFrequencyField) -> list[list[str]]:
+    """Rows of a table: what every stage leaves of the raw size, and its squared error."""
+    from prtnet.all_frequency_file import sizes
+
+    size, told = sizes(field), field.metadata["squared_error"]
+    errors = {"clustered": told["clustered"], "total": told["stored"]}
+    names = {
+        "raw": "raw transfer",
+        "clustered": "clusters, without zeros",
+        "representatives": "representatives, stored",
+        "weights": "weights",
+        "clusters": "clusters' lists and scales",
+        "view": "view factors",
+        "total": "in all",
+    }
+    return [
+        [
+            name,
+            f"{size[key] / 1e6:.2f} MB",
+            f"{100 * size[key] / size['raw']:.3f} %",
+            f"{100 * errors[key]:.3f} %" if key in errors else "",
+        ]
+        for key, name in names.items()
+    ]
