@@ -24,14 +24,17 @@ from data_gen.visibility import PoseTracer, TracedPose
 from prtnet.arrays import BoolArray, FloatArray
 from prtnet.cores import core_count
 from prtnet.dataset import Block, DatasetWriter
+from prtnet.dataset_repair import DatasetRepair
 from prtnet.errors import PrtnetError
 from prtnet.frames import FrameField, rest_tangents
+from prtnet.provenance import made_with
 from prtnet.scene import PointCacheScene, Receivers, Scene, SkinnedScene
 
 __all__ = ["GenerateConfig", "GenerateSummary", "Progress", "generate"]
 
 Progress = Callable[[int, int], None]  # poses done, poses in all
 
+PACKAGES = ("embreex", "numpy", "scipy", "zarr")  # that decide the bytes of a dataset
 DEFAULT_FPS = 10.0  # neighbouring frames of 30 are nearly alike and cost three times the rays
 
 
@@ -92,10 +95,11 @@ class GenerateSummary:
 
     path: Path
     poses: int  # in the dataset
-    resumed: int  # of those, found from an earlier run that was stopped
+    resumed: int  # of those, found from an earlier run that was stopped, or sound
     receivers: int
     rays: int  # traced in this run
     seconds: float
+    mended: tuple[str, ...] = ()  # by a repair: files, and blocks of arrays
 
 
 def generate(
@@ -103,13 +107,16 @@ def generate(
     config: GenerateConfig,
     out: str | Path,
     progress: Progress | None = None,
+    repair: bool = False,
 ) -> GenerateSummary:
     """Trace visibility over the poses of a scene and write the dataset ``out``.
 
-    An equal run that was stopped is gone on with.
+    An equal run that was stopped is gone on with. A repair traces again, in a dataset that was
+    generated with these options, the blocks that are damaged.
 
     Raises:
-        PrtnetError: impossible options, unknown clips, or ``out`` cannot be written.
+        PrtnetError: impossible options, unknown clips, or ``out`` cannot be written; nothing to
+            repair, or made with other options.
     """
     config.check()
     started = time.perf_counter()
@@ -126,7 +133,9 @@ def generate(
     receivers = scene.receivers(config.two_sided)
     tangents = rest_tangents(scene, receivers)
     attributes, fixed = describe(scene, config, plan, receivers, tangents)
-    writer = DatasetWriter(out, attributes, fixed, len(plan), config.block)
+    writer = (DatasetRepair if repair else DatasetWriter)(
+        out, attributes, fixed, len(plan), config.block
+    )
     tracer = PoseTracer(
         scene, receivers, FrameField(scene, receivers, tangents), config.order, config.rays
     )
@@ -149,6 +158,7 @@ def generate(
         receivers=len(receivers),
         rays=todo * len(receivers) * config.rays,
         seconds=time.perf_counter() - started,
+        mended=tuple(writer.mended) if isinstance(writer, DatasetRepair) else (),
     )
 
 
@@ -226,6 +236,7 @@ def describe(
         "held_out": list(plan.held_out),
         "joint_names": list(skinned.joint_names) if skinned else [],
         "morph_count": skinned.morph_count if skinned else 0,
+        "made_with": made_with(*PACKAGES),
     }
     fixed: dict[str, Any] = {
         "faces": np.asarray(scene.faces, dtype=np.int32),

@@ -191,7 +191,8 @@ def generate(argv: Sequence[str]) -> None:
     scene = read_scene(files.scene)
     require_clips(scene)
     with session.console.progress() as report:
-        summary = trace(scene, config, files.out, functools.partial(report, "poses"))
+        told = functools.partial(report, "poses")
+        summary = trace(scene, config, files.out, told, files.repair)
     session.finish(dataclasses.asdict(summary))
 
 

@@ -113,6 +113,7 @@ class GenerateFiles:
 
     scene: Positional[Path]  # animated scene: .glb, .gltf, or a point cache .npz
     out: Path  # dataset to write, a .zarr folder
+    repair: bool = False  # trace again what is damaged in --out, made by this command line before
 
 
 @dataclass(frozen=True)

@@ -157,6 +157,24 @@ def test_a_killed_run_goes_on(tmp_path: Path) -> None:
     same(Dataset.open(summary.path), Dataset.open(undisturbed.path))
 
 
+def test_a_flipped_bit_is_traced_again_to_the_same_bytes(
+    scene: SkinnedScene, tmp_path: Path
+) -> None:
+    path = generate(scene, CONFIG, tmp_path / "arm.zarr").path
+    before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
+    chunk = path / "visibility/c/2/0/0"
+    chunk.write_bytes(before[chunk][:50] + bytes([before[chunk][50] ^ 4]) + before[chunk][51:])
+    with pytest.raises(PrtnetError, match=r"'visibility' is damaged in block 2; .* --repair"):
+        Dataset.open(path).read("visibility")
+    with pytest.raises(PrtnetError, match="was made with rays 32; repeat the command line"):
+        generate(scene, dataclasses.replace(CONFIG, rays=40), path, repair=True)
+    summary = generate(scene, CONFIG, path, repair=True)
+    assert summary.mended == ("block 2 of visibility",)
+    assert (summary.poses, summary.resumed) == (15, 11)
+    assert {file: file.read_bytes() for file in path.rglob("*") if file.is_file()} == before
+    assert generate(scene, CONFIG, path, repair=True).mended == ()
+
+
 def test_other_options_start_over(scene: SkinnedScene, tmp_path: Path) -> None:
     def stop(done: int, total: int) -> None:
         if done:
