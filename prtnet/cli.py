@@ -192,7 +192,8 @@ def generate(argv: Sequence[str]) -> None:
     require_clips(scene)
     with session.console.progress() as report:
         told = functools.partial(report, "poses")
-        summary = trace(scene, config, files.out, told, files.repair)
+        where = files.cluster, files.scene
+        summary = trace(scene, config, files.out, told, files.repair, *where)
     session.finish(dataclasses.asdict(summary))
 
 

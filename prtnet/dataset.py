@@ -321,9 +321,10 @@ class DatasetWriter:
         fixed: the arrays that no pose changes, by name.
         poses: number of poses P.
         block: poses a block.
+        join: an equal run that is under way, and start none.
 
     Raises:
-        PrtnetError: the folder cannot be written.
+        PrtnetError: the folder cannot be written, or there is no run to join.
     """
 
     def __init__(
@@ -333,6 +334,7 @@ class DatasetWriter:
         fixed: Mapping[str, np.ndarray[Any, Any]],
         poses: int,
         block: int,
+        join: bool = False,
     ) -> None:
         self.path = Path(path).resolve()
         if self.path.exists() and not (self.path / "zarr.json").is_file():
@@ -349,6 +351,12 @@ class DatasetWriter:
             if self.resumed:
                 self._group = zarr.open_group(str(self.partial), mode="r+", zarr_format=3)
                 return
+            if join:
+                raise PrtnetError(
+                    path,
+                    "is not being written as here: this machine sees another folder or scene, or "
+                    "has other versions of the packages; make them the same",
+                )
             remove(self.partial)
             self._group = create(self.partial, attributes, fixed, poses, block)
             self._markers.mkdir()

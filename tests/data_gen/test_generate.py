@@ -120,7 +120,7 @@ def test_a_stopped_run_goes_on(scene: SkinnedScene, tmp_path: Path) -> None:
         generate(scene, CONFIG, tmp_path / "arm.zarr", stop)
     assert not (tmp_path / "arm.zarr").exists()
     summary = generate(scene, CONFIG, tmp_path / "arm.zarr")
-    assert summary.resumed == 8
+    assert 8 <= summary.resumed <= 15  # blocks that were under way were written
     whole = generate(scene, CONFIG, tmp_path / "whole.zarr")
     assert whole.resumed == 0
     same(Dataset.open(summary.path), Dataset.open(whole.path))
