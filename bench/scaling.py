@@ -72,13 +72,14 @@ def main() -> None:
         blocks, alone = traced(1, folder)
         _, both = traced(2, folder)
         for count, seconds in ((1, alone), (2, both)):
-            rows.append(["mannequin", count, blocks, f"{seconds:.1f}",
-                         f"{1e3 * seconds / blocks:.1f}", f"{100 * alone / seconds / count:.0f} %"])  # fmt: skip
+            each, efficiency = f"{1e3 * seconds / blocks:.1f}", alone / seconds / count
+            rows.append(["mannequin", count, blocks, f"{seconds:.1f}", each, f"{efficiency:.0%}"])
         for some in (number // 100, number // 10, number):
             seconds = stubs(2, folder, some)
             rows.append(["stubs", 2, some, f"{seconds:.1f}", f"{1e3 * seconds / some:.2f}", "–"])
     share = seconds / number
-    note = f"At {alone / blocks:.2f} s a block one scheduler keeps up with some {alone / blocks / share:.0f} workers."
+    keeps = alone / blocks / share
+    note = f"At {alone / blocks:.2f} s a block one scheduler keeps up with {keeps:.0f} workers."
     publish(
         "scaling",
         ("tasks", "workers", "blocks", "seconds", "ms a block", "efficiency"),
