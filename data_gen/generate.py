@@ -1,16 +1,17 @@
 """Scenes in, visibility datasets out: ``prtnet generate``.
 
-Worker threads take whole poses: geometry, acceleration structure, rays, projection. The main thread
-collects them in order and writes a block of poses at a time. Memory is bounded by the block and
-the number of threads, not by the number of poses.
+A block of poses is a task that ends in the dataset. Threads of this process take whole poses of a
+few blocks at a time: geometry, acceleration structure, rays, projection. Workers of a cluster take
+whole blocks, and make everything else for themselves of the scene's file. Memory is bounded by the
+block and the number of threads, not by the number of poses.
 """
 
 from __future__ import annotations
 
+import functools
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,18 +21,23 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from data_gen.pose_plan import PosePlan, plan_poses
 from data_gen.pose_sampling import MARGIN
+from data_gen.readers import read_scene
 from data_gen.visibility import PoseTracer, TracedPose
 from prtnet.arrays import BoolArray, FloatArray
 from prtnet.cores import core_count
 from prtnet.dataset import Block, DatasetWriter
+from prtnet.dataset_repair import DatasetRepair
 from prtnet.errors import PrtnetError
+from prtnet.executor import Task, executor
 from prtnet.frames import FrameField, rest_tangents
+from prtnet.provenance import made_with
 from prtnet.scene import PointCacheScene, Receivers, Scene, SkinnedScene
 
 __all__ = ["GenerateConfig", "GenerateSummary", "Progress", "generate"]
 
 Progress = Callable[[int, int], None]  # poses done, poses in all
 
+PACKAGES = ("embreex", "numpy", "scipy", "zarr")  # that decide the bytes of a dataset
 DEFAULT_FPS = 10.0  # neighbouring frames of 30 are nearly alike and cost three times the rays
 
 
@@ -92,10 +98,11 @@ class GenerateSummary:
 
     path: Path
     poses: int  # in the dataset
-    resumed: int  # of those, found from an earlier run that was stopped
+    resumed: int  # of those, found from an earlier run that was stopped, or sound
     receivers: int
     rays: int  # traced in this run
     seconds: float
+    mended: tuple[str, ...] = ()  # by a repair: files, and blocks of arrays
 
 
 def generate(
@@ -103,16 +110,132 @@ def generate(
     config: GenerateConfig,
     out: str | Path,
     progress: Progress | None = None,
+    repair: bool = False,
+    cluster: str | None = None,
+    source: Path | None = None,
 ) -> GenerateSummary:
     """Trace visibility over the poses of a scene and write the dataset ``out``.
 
-    An equal run that was stopped is gone on with.
+    An equal run that was stopped is gone on with. A repair traces again, in a dataset that was
+    generated with these options, the blocks that are damaged.
+
+    Args:
+        scene: the animated mesh.
+        config: what to trace of it.
+        out: the dataset's folder.
+        progress: is told how far it is.
+        repair: see above.
+        cluster: address of a Dask scheduler whose workers trace; threads of this process if None.
+        source: the scene's file, which every worker has under this name, as it has ``out``.
 
     Raises:
-        PrtnetError: impossible options, unknown clips, or ``out`` cannot be written.
+        PrtnetError: impossible options, unknown clips, or ``out`` cannot be written; nothing to
+            repair, or made with other options.
     """
     config.check()
+    if repair and cluster is not None:
+        raise PrtnetError("--repair", "works on this machine alone; leave out --cluster")
     started = time.perf_counter()
+    plan, receivers, tangents = planned(scene, config)
+    attributes, fixed = describe(scene, config, plan, receivers, tangents)
+    given = attributes, fixed, len(plan), config.block
+    writer = DatasetRepair(out, *given) if repair else DatasetWriter(out, *given)
+    missing = writer.missing()
+    todo = sum(len(range(len(plan))[writer.span(block)]) for block in missing)
+    done = len(plan) - todo
+    report = progress or silent
+    report(done, len(plan))
+    if cluster is None or source is None:
+        task: Task = TraceBlock(plan, writer, tracer_of(scene, receivers, tangents, config))
+    else:
+        task = TraceElsewhere(source.resolve(), scene.sha256, config, Path(out).resolve())
+    # BLAS would start threads of its own in every worker.
+    with threadpool_limits(1, user_api="blas"):
+        ahead = 1 + -(-config.threads // config.block)
+        for block in executor(cluster, config.threads).run(task, missing, ahead):
+            done += len(range(len(plan))[writer.span(block)])
+            report(done, len(plan))
+    path = writer.finish()
+    return GenerateSummary(
+        path=path,
+        poses=len(plan),
+        resumed=len(plan) - todo,
+        receivers=len(receivers),
+        rays=todo * len(receivers) * config.rays,
+        seconds=time.perf_counter() - started,
+        mended=tuple(writer.mended) if isinstance(writer, DatasetRepair) else (),
+    )
+
+
+def silent(done: int, total: int) -> None:
+    """Progress nobody asked for."""
+
+
+def tracer_of(
+    scene: Scene, receivers: Receivers, tangents: FloatArray, config: GenerateConfig
+) -> PoseTracer:
+    """Traces poses of a scene as configured."""
+    frames = FrameField(scene, receivers, tangents)
+    return PoseTracer(scene, receivers, frames, config.order, config.rays)
+
+
+@dataclass(frozen=True, eq=False)
+class TraceBlock:
+    """The task: traces a block of poses and writes it."""
+
+    plan: PosePlan
+    writer: DatasetWriter
+    tracer: PoseTracer
+
+    def __call__(self, number: int, pool: Executor) -> None:
+        """Trace block ``number``, its poses in the pool."""
+        span = self.writer.span(number)
+        poses, sources = self.plan.poses(span)
+        traced = list(pool.map(self.tracer, poses))
+        self.writer.write(number, assemble(self.plan, span, poses, sources, traced))
+
+
+@dataclass(frozen=True)
+class TraceElsewhere:
+    """The same task as it travels to another process: names of files, and the options.
+
+    Attributes:
+        scene: the scene's file.
+        sha256: of it.
+        config: the options.
+        out: the dataset that is being written.
+    """
+
+    scene: Path
+    sha256: str
+    config: GenerateConfig
+    out: Path
+
+    def __call__(self, number: int, pool: Executor) -> None:
+        """Trace block ``number`` with what this process has read once."""
+        prepared(self)(number, pool)
+
+
+@functools.lru_cache(maxsize=1)
+def prepared(task: TraceElsewhere) -> TraceBlock:
+    """The task in a process that has the files.
+
+    Raises:
+        PrtnetError: it has them not, others, or other versions of the packages.
+    """
+    scene = read_scene(task.scene)
+    if scene.sha256 != task.sha256:
+        raise PrtnetError(task.scene, "is another file on a worker; make them the same")
+    threadpool_limits(1, user_api="blas")  # for good: a worker's threads are its tasks
+    plan, receivers, tangents = planned(scene, task.config)
+    attributes, fixed = describe(scene, task.config, plan, receivers, tangents)
+    given = attributes, fixed, len(plan), task.config.block
+    writer = DatasetWriter(task.out, *given, join=True)
+    return TraceBlock(plan, writer, tracer_of(scene, receivers, tangents, task.config))
+
+
+def planned(scene: Scene, config: GenerateConfig) -> tuple[PosePlan, Receivers, FloatArray]:
+    """The poses of a dataset, its receivers, and their tangents at rest."""
     plan = plan_poses(
         scene,
         config.clips,
@@ -124,63 +247,7 @@ def generate(
         config.margin,
     )
     receivers = scene.receivers(config.two_sided)
-    tangents = rest_tangents(scene, receivers)
-    attributes, fixed = describe(scene, config, plan, receivers, tangents)
-    writer = DatasetWriter(out, attributes, fixed, len(plan), config.block)
-    tracer = PoseTracer(
-        scene, receivers, FrameField(scene, receivers, tangents), config.order, config.rays
-    )
-    missing = writer.missing()
-    todo = sum(len(range(len(plan))[writer.span(block)]) for block in missing)
-    done = len(plan) - todo
-    report = progress or silent
-    report(done, len(plan))
-    # BLAS would start threads of its own in every worker.
-    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(config.threads) as pool:
-        for block, values in traced_blocks(plan, writer, missing, tracer, pool, config.threads):
-            writer.write(block, values)
-            done += len(values.clip)
-            report(done, len(plan))
-    path = writer.finish()
-    return GenerateSummary(
-        path=path,
-        poses=len(plan),
-        resumed=len(plan) - todo,
-        receivers=len(receivers),
-        rays=todo * len(receivers) * config.rays,
-        seconds=time.perf_counter() - started,
-    )
-
-
-def silent(done: int, total: int) -> None:
-    """Progress nobody asked for."""
-
-
-def traced_blocks(
-    plan: PosePlan,
-    writer: DatasetWriter,
-    blocks: Sequence[int],
-    tracer: PoseTracer,
-    pool: Executor,
-    threads: int,
-) -> Iterator[tuple[int, Block]]:
-    """Blocks in order, with enough of the next ones under way to keep all threads busy."""
-    ahead: deque[tuple[int, FloatArray, BoolArray, list[Future[TracedPose]]]] = deque()
-    depth = 1 + -(-threads // writer.block)
-    try:
-        for turn in range(len(blocks) + depth):
-            if turn < len(blocks):
-                poses, sources = plan.poses(writer.span(blocks[turn]))
-                futures = [pool.submit(tracer, pose) for pose in poses]
-                ahead.append((blocks[turn], poses, sources, futures))
-            if turn >= depth and ahead:
-                block, poses, sources, futures = ahead.popleft()
-                traced = [future.result() for future in futures]
-                yield block, assemble(plan, writer.span(block), poses, sources, traced)
-    finally:
-        for _, _, _, futures in ahead:
-            for future in futures:
-                future.cancel()
+    return plan, receivers, rest_tangents(scene, receivers)
 
 
 def assemble(
@@ -226,6 +293,7 @@ def describe(
         "held_out": list(plan.held_out),
         "joint_names": list(skinned.joint_names) if skinned else [],
         "morph_count": skinned.morph_count if skinned else 0,
+        "made_with": made_with(*PACKAGES),
     }
     fixed: dict[str, Any] = {
         "faces": np.asarray(scene.faces, dtype=np.int32),

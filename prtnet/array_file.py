@@ -25,6 +25,7 @@ __all__ = [
     "header_key",
     "kind_named",
     "read_arrays",
+    "untimed",
     "write_arrays",
 ]
 
@@ -44,13 +45,24 @@ def write_arrays(
 ) -> None:
     """Write arrays and a header that JSON can hold; the file is whole or absent.
 
+    Seconds that the work took are not written: the same work gives the same bytes.
+
     Raises:
         PrtnetError: the file cannot be written.
     """
     solid = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     with writing(path) as partial:
         # ``save_file`` would make a file that nobody else may read.
-        partial.write_bytes(safetensors.numpy.save(solid, {key: json.dumps(header)}))
+        partial.write_bytes(safetensors.numpy.save(solid, {key: json.dumps(untimed(header))}))
+
+
+def untimed(header: Mapping[str, Any]) -> dict[str, Any]:
+    """A header without its ``seconds``, at any depth of objects."""
+    return {
+        name: untimed(value) if isinstance(value, Mapping) else value
+        for name, value in header.items()
+        if name != "seconds"
+    }
 
 
 def read_arrays(path: str | Path, key: str) -> tuple[dict[str, Any], dict[str, Any]]:

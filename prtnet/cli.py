@@ -185,7 +185,9 @@ def generate(argv: Sequence[str]) -> None:
     scene = read_scene(files.scene)
     require_clips(scene)
     with session.console.progress() as report:
-        summary = trace(scene, config, files.out, functools.partial(report, "poses"))
+        told = functools.partial(report, "poses")
+        where = files.cluster, files.scene
+        summary = trace(scene, config, files.out, told, files.repair, *where)
     session.finish(dataclasses.asdict(summary))
 
 

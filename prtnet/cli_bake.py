@@ -24,6 +24,7 @@ from prtnet.limits import (
     check_side,
     check_within,
 )
+from prtnet.provenance import made_with
 
 if TYPE_CHECKING:
     from data_gen.bake import BakeConfig
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BakeOptions", "baked", "check_options", "warnings_of"]
 
+PACKAGES = ("embreex", "numpy", "scipy")  # that decide the bytes of a field
 MEMBRANE, WRINKLE = "membrane", "wrinkle"
 TEXELS = (64, 64)  # of a pattern
 MAP = (32, 32)  # of a wrinkle
@@ -186,7 +188,7 @@ def simulated(options: BakeOptions, threads: int, report: Report) -> TransferFie
     else:
         field = patch(options, threads, report)
     name = Path(options.source).name
-    told = {"source": name, **field.metadata}
+    told = {"source": name, **field.metadata, "made_with": made_with(*PACKAGES)}
     if options.brdf is not None:
         measured = Path(options.brdf)
         told["brdf"] = measured.name if measured.is_file() else options.brdf

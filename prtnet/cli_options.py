@@ -113,6 +113,8 @@ class GenerateFiles:
 
     scene: Positional[Path]  # animated scene: .glb, .gltf, or a point cache .npz
     out: Path  # dataset to write, a .zarr folder
+    repair: bool = False  # trace again what is damaged in --out, made by this command line before
+    cluster: str | None = None  # trace on the workers of this Dask scheduler, tcp://HOST:PORT
 
 
 @dataclass(frozen=True)

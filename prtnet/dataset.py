@@ -3,7 +3,8 @@
 The arrays and attributes are listed in docs/formats.md. A chunk is a block of poses, so a block is
 written without touching another, and a stopped run goes on where it was: the group grows in a
 hidden folder beside its final name, each whole block leaves an empty marker file there, and the
-folder is renamed when all blocks are whole.
+folder is renamed when all blocks are whole. Chunks end in their CRC-32C; the group's attributes
+have a SHA-256 of themselves and of every array's header.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ __all__ = [
 FORMAT_VERSION = 1
 SAMPLED = "sampled"  # the name of the clip that sampled poses belong to
 MARKERS = ".whole-blocks"
+MADE_WITH = "made_with"  # attribute: versions of what made it
+HEADERS = "headers_sha256"  # attribute: of every array's zarr.json, and of the other attributes
+SELF = "attributes"  # the name of those among HEADERS
 POSE_ARRAYS = (
     "visibility", "pose", "positions", "normals", "tangents", "clip", "time", "sources",
 )  # fmt: skip
@@ -84,9 +88,80 @@ class Rows:
                 return np.asarray(self._array[index])
             return np.asarray(self._array.oindex[np.arange(len(self))[index]])
         except (ValueError, RuntimeError, OSError) as error:
-            raise PrtnetError(
-                self._path, f"array '{self._array.basename}' is damaged; generate it again"
-            ) from error
+            raise PrtnetError(self._path, self.complaint(index)) from error
+
+    def complaint(self, index: int | slice | IntArray) -> str:
+        """Which blocks are damaged among those that hold these poses, and what to do about it."""
+        size = self._array.chunks[0]
+        blocks = np.unique(np.atleast_1d(np.arange(len(self))[index]) // size)
+        bad = [block for block in blocks.tolist() if not readable(self._array, block)]
+        where = f" in block {', '.join(map(str, bad[:8]))}{', ...' * (len(bad) > 8)}"
+        if self._array.basename not in POSE_ARRAYS or not bad:
+            where = ""
+        return f"array '{self._array.basename}' is damaged{where}; {MEND}"
+
+
+MEND = "repeat the prtnet generate that made it with --repair"
+
+
+def readable(array: zarr.Array[Any], block: int) -> bool:
+    """Whether the poses of a block can be read, and have the checksum they were written with."""
+    size = array.chunks[0]
+    try:
+        np.asarray(array[block * size : (block + 1) * size])
+    except (ValueError, RuntimeError, OSError):
+        return False
+    return True
+
+
+def header_sums(folder: Path, attributes: Mapping[str, Any]) -> dict[str, str]:
+    """SHA-256 of the headers of all arrays in a group's folder, and of its attributes."""
+    names = sorted(path.parent.name for path in folder.glob("*/zarr.json"))
+    sums = {
+        name: hashlib.sha256(header_of(folder, name).read_bytes()).hexdigest() for name in names
+    }
+    own = {name: value for name, value in attributes.items() if name != HEADERS}
+    text = json.dumps(own, sort_keys=True)
+    return {**sums, SELF: hashlib.sha256(text.encode()).hexdigest()}
+
+
+def header_of(folder: Path, array: str) -> Path:
+    """The file of an array's header."""
+    return folder / array / "zarr.json"
+
+
+def opened(path: Path) -> zarr.Group:
+    """The group of a dataset, of this format version and with sound headers.
+
+    Raises:
+        PrtnetError: it is none, of another format version, or a header is damaged.
+    """
+    try:
+        group = zarr.open_group(str(path), mode="r", zarr_format=3)
+        attributes: dict[str, Any] = dict(group.attrs)
+    except (zarr.errors.GroupNotFoundError, OSError, ValueError, KeyError, TypeError) as error:
+        if all(header_of(path, name).is_file() for name in POSE_ARRAYS):
+            raise PrtnetError(path, f"its zarr.json is damaged; {MEND}") from error
+        raise PrtnetError(path, "is not a dataset; make one with prtnet generate") from error
+    version = attributes.get("format_version")
+    sums: dict[str, str] = attributes.get(HEADERS, {})  # datasets of old have none
+    if sums or MADE_WITH in attributes:
+        found = header_sums(path, attributes)
+        if found[SELF] != sums.get(SELF):
+            raise PrtnetError(path, f"its zarr.json is damaged; {MEND}")
+    if version is None:
+        raise PrtnetError(path, "is not a dataset; make one with prtnet generate")
+    if version != FORMAT_VERSION:
+        raise PrtnetError(
+            path,
+            f"is a dataset of another format version ({version}, this program reads "
+            f"{FORMAT_VERSION}); generate it again",
+        )
+    for name in sums:
+        if found.get(name) != sums[name]:
+            what = "is damaged" if name in found else "is missing"
+            raise PrtnetError(path, f"{name}/zarr.json {what}; {MEND}")
+    return group
 
 
 def array_of(group: zarr.Group, name: str) -> zarr.Array[Any]:
@@ -150,19 +225,7 @@ class Dataset:
         path = Path(path)
         if not path.exists():
             raise PrtnetError(path, "does not exist; make it with prtnet generate")
-        try:
-            group = zarr.open_group(str(path), mode="r", zarr_format=3)
-            version = dict(group.attrs).get("format_version")
-        except (zarr.errors.GroupNotFoundError, OSError, ValueError, KeyError) as error:
-            raise PrtnetError(path, "is not a dataset; make one with prtnet generate") from error
-        if version is None:
-            raise PrtnetError(path, "is not a dataset; make one with prtnet generate")
-        if version != FORMAT_VERSION:
-            raise PrtnetError(
-                path,
-                f"is a dataset of another format version ({version}, this program reads "
-                f"{FORMAT_VERSION}); generate it again",
-            )
+        group = opened(path)
         try:
             dataset = cls(path, group)
             arrays = [array_of(group, name) for name in POSE_ARRAYS]
@@ -171,7 +234,7 @@ class Dataset:
         for array in arrays:
             short = array.shape[0] != arrays[0].shape[0]
             if short or array.nchunks_initialized != array.nchunks:
-                raise PrtnetError(path, f"array '{array.basename}' is not whole; generate it again")
+                raise PrtnetError(path, f"array '{array.basename}' is not whole; {MEND}")
         return dataset
 
     def rows(self, name: str) -> Rows:
@@ -258,9 +321,10 @@ class DatasetWriter:
         fixed: the arrays that no pose changes, by name.
         poses: number of poses P.
         block: poses a block.
+        join: an equal run that is under way, and start none.
 
     Raises:
-        PrtnetError: the folder cannot be written.
+        PrtnetError: the folder cannot be written, or there is no run to join.
     """
 
     def __init__(
@@ -270,6 +334,7 @@ class DatasetWriter:
         fixed: Mapping[str, np.ndarray[Any, Any]],
         poses: int,
         block: int,
+        join: bool = False,
     ) -> None:
         self.path = Path(path).resolve()
         if self.path.exists() and not (self.path / "zarr.json").is_file():
@@ -286,47 +351,16 @@ class DatasetWriter:
             if self.resumed:
                 self._group = zarr.open_group(str(self.partial), mode="r+", zarr_format=3)
                 return
+            if join:
+                raise PrtnetError(
+                    path,
+                    "is not being written as here: this machine sees another folder or scene, or "
+                    "has other versions of the packages; make them the same",
+                )
             remove(self.partial)
-            self._group = zarr.create_group(str(self.partial), zarr_format=3)
-            self._create(dict(attributes), fixed)
+            self._group = create(self.partial, attributes, fixed, poses, block)
             self._markers.mkdir()
             started.touch()
-
-    def _create(
-        self, attributes: dict[str, Any], fixed: Mapping[str, np.ndarray[Any, Any]]
-    ) -> None:
-        self._group.attrs.update({"format_version": FORMAT_VERSION, **attributes})
-        for name, value in fixed.items():
-            array = np.ascontiguousarray(value)
-            whole = tuple(max(size, 1) for size in array.shape)
-            self._array(name, array.shape, whole, array.dtype)[...] = array
-        receivers, size = len(fixed["receiver_side"]), len(fixed["rest_pose"])
-        rows: dict[str, tuple[tuple[int, ...], str]] = {
-            "visibility": ((receivers, attributes["order"] ** 2), "float32"),
-            "pose": ((size,), "float32"),
-            "positions": ((receivers, 3), "float32"),
-            "normals": ((receivers, 3), "float32"),
-            "tangents": ((receivers, 3), "float32"),
-            "clip": ((), "int32"),
-            "time": ((), "float32"),
-            "sources": ((len(attributes["clip_names"]),), "bool"),
-        }
-        for name, (shape, dtype) in rows.items():
-            self._array(name, (self.poses, *shape), (self.block, *shape), np.dtype(dtype))
-
-    def _array(
-        self, name: str, shape: tuple[int, ...], chunks: tuple[int, ...], dtype: np.dtype[Any]
-    ) -> zarr.Array[Any]:
-        return self._group.create_array(
-            name,
-            shape=shape,
-            chunks=chunks,
-            dtype=dtype,
-            compressors=(
-                BloscCodec(cname="lz4", clevel=1, shuffle=BloscShuffle.shuffle),
-                Crc32cCodec(),  # Blosc alone reads a truncated chunk as if it were whole
-            ),
-        )
 
     @property
     def blocks(self) -> int:
@@ -351,9 +385,15 @@ class DatasetWriter:
     def finish(self) -> Path:
         """Put the dataset under its final name, replacing what stood there."""
         with self._disk():
+            self._clear(self.partial)
             finish(self.partial, self.path)
             remove(self.path / MARKERS)  # last: until then a killed run must find its blocks
         return self.path
+
+    def _clear(self, folder: Path) -> None:
+        """Delete what Zarr had begun to write when it was killed."""
+        for left in folder.rglob("*.partial"):
+            left.unlink()
 
     def _marker(self, block: int) -> Path:
         return self._markers / str(block)
@@ -369,6 +409,54 @@ class DatasetWriter:
             raise PrtnetError(
                 self.path, f"cannot be written ({reason}); give another --out"
             ) from error
+
+
+def create(
+    folder: Path,
+    attributes: Mapping[str, Any],
+    fixed: Mapping[str, np.ndarray[Any, Any]],
+    poses: int,
+    block: int,
+) -> zarr.Group:
+    """A dataset without its blocks: headers, attributes, and the arrays that no pose changes.
+
+    The header of ``visibility`` has the fingerprint of all of it, should the group's be damaged.
+    """
+    group = zarr.create_group(str(folder), zarr_format=3)
+
+    def array(name: str, shape: tuple[int, ...], chunk: int, dtype: Any) -> zarr.Array[Any]:
+        return group.create_array(
+            name,
+            shape=shape,
+            chunks=tuple(max(size, 1) for size in (chunk, *shape[1:])),
+            dtype=dtype,
+            compressors=(
+                BloscCodec(cname="lz4", clevel=1, shuffle=BloscShuffle.shuffle),
+                Crc32cCodec(),  # Blosc alone reads a truncated chunk as if it were whole
+            ),
+        )
+
+    for name, value in fixed.items():
+        solid = np.ascontiguousarray(value)
+        array(name, solid.shape, solid.shape[0], solid.dtype)[...] = solid
+    receivers, size = len(fixed["receiver_side"]), len(fixed["rest_pose"])
+    rows: dict[str, tuple[tuple[int, ...], str]] = {
+        "visibility": ((receivers, attributes["order"] ** 2), "float32"),
+        "pose": ((size,), "float32"),
+        "positions": ((receivers, 3), "float32"),
+        "normals": ((receivers, 3), "float32"),
+        "tangents": ((receivers, 3), "float32"),
+        "clip": ((), "int32"),
+        "time": ((), "float32"),
+        "sources": ((len(attributes["clip_names"]),), "bool"),
+    }
+    for name, (shape, dtype) in rows.items():
+        array(name, (poses, *shape), block, np.dtype(dtype))
+    fingerprint = fingerprint_of(attributes, fixed, poses, block)
+    array_of(group, "visibility").attrs["fingerprint"] = fingerprint
+    every = {"format_version": FORMAT_VERSION, **attributes}
+    group.attrs.update({**every, HEADERS: header_sums(folder, every)})
+    return group
 
 
 def fingerprint_of(

@@ -24,6 +24,10 @@ class PrtnetError(Exception):
         self.message = " ".join(message.split())
         super().__init__(f"{self.subject}: {self.message}")
 
+    def __reduce__(self) -> tuple[type[PrtnetError], tuple[str, str]]:
+        """Two texts, on the way from another process."""
+        return PrtnetError, (self.subject, self.message)
+
 
 def nearest_name(name: str, known: Iterable[str]) -> str:
     """A clause that lists the known names and suggests the closest one to ``name``."""

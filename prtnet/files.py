@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import hashlib
 import os
+import platform
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -50,20 +52,39 @@ def finish(partial: Path, final: Path) -> None:
     remove(aside)
 
 
+def runs(process: str) -> bool:
+    """Whether a process of this machine, by its number, may still be there."""
+    if os.name != "posix" or not process.isdecimal():
+        return True  # elsewhere signal 0 is no question, but the end of the process
+    try:
+        os.kill(int(process), 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
 @contextlib.contextmanager
 def writing(path: str | Path) -> Iterator[Path]:
     """A temporary path beside ``path``; renamed to it when the block ends well, deleted otherwise.
+
+    What a process that was killed left of the same output is deleted.
 
     Raises:
         PrtnetError: the folder does not exist or cannot be written.
     """
     final = Path(path)
-    partial = final.with_name(f".{final.name}.{os.getpid()}.partial{final.suffix}")
+    mine = f".{final.name}.{platform.node()}-"
+    partial = final.with_name(f"{mine}{os.getpid()}.partial{final.suffix}")
     if final.is_dir() and not os.access(final.parent, os.W_OK):
         raise PrtnetError(final, "is a folder that cannot be replaced; give another --out")
     try:
         if not final.parent.is_dir():
             raise FileNotFoundError(2, f"the folder {final.parent} does not exist")
+        for left in final.parent.glob(f"{glob.escape(mine)}*.partial{glob.escape(final.suffix)}"):
+            if not runs(left.name.removeprefix(mine).partition(".")[0]):
+                remove(left)
         yield partial
         finish(partial, final)
     except OSError as error:

@@ -20,6 +20,7 @@ from prtnet.features import Features
 from prtnet.metrics import ErrorSum
 from prtnet.model import FORMAT_VERSION, Regressor, VisibilityModel
 from prtnet.output_space import OutputSpace
+from prtnet.provenance import made_with
 from training.config import TrainConfig
 from training.inputs import fit_joint_angles, fit_local_joints, fit_occluders, interior_edges
 from training.monitor import Monitor, Silent
@@ -51,6 +52,7 @@ __all__ = [
     "with_training_range",
 ]
 
+PACKAGES = ("numpy", "scikit-learn", "scipy", "torch")  # that decide the bytes of a model
 DEFAULT_ALPHA = 3e-3  # where there is too little to cross-validate with
 DEFAULT_NEURONS = 16  # likewise, where the number is to be chosen
 NEURAL = ("neural", *AROUND)  # kinds whose clusters have a tanh layer
@@ -412,6 +414,7 @@ def describe(dataset: Dataset, config: TrainConfig, features: Features) -> dict[
     still = [] if moving is None else sorted(set(range(len(names))) - set(moving.tolist()))
     return {
         "prtnet": __version__,
+        "made_with": made_with(*PACKAGES, threads=torch.get_num_threads()),
         "format_version": FORMAT_VERSION,
         "config": dataclasses.asdict(config),
         "dropped_joints": [names[joint] for joint in still],

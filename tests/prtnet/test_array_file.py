@@ -27,6 +27,13 @@ def test_round_trip(tmp_path: Path) -> None:
     assert header_key(path) == TRANSFER
 
 
+def test_seconds_are_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    header = {"seconds": {"fit": 1.0}, "fit": {"error": 0.5, "seconds": 2.0}, "fits": [1]}
+    write_arrays(path, header, {"a": np.zeros(1)}, TRANSFER)
+    assert read_arrays(path, TRANSFER)[0] == {"fit": {"error": 0.5}, "fits": [1]}
+
+
 def test_other_kinds_are_told_apart(tmp_path: Path) -> None:
     path = tmp_path / "a.safetensors"
     write_arrays(path, {"is": "ours"}, {"a": np.zeros(1)}, TRANSFER)

@@ -13,6 +13,7 @@ import zarr
 
 from prtnet.dataset import (
     FORMAT_VERSION,
+    HEADERS,
     MARKERS,
     POSE_ARRAYS,
     SAMPLED,
@@ -212,6 +213,20 @@ def test_a_run_killed_while_it_finishes_loses_nothing(
     assert not (path / MARKERS).exists()
 
 
+def edit(path: Path, **attributes: object) -> None:
+    """Attributes as a dataset without checksums of its headers has them; None for none."""
+    header = path / "zarr.json"
+    content = json.loads(header.read_text())
+    every = content["attributes"] | attributes | {HEADERS: None}
+    content["attributes"] = {n: value for n, value in every.items() if value is not None}
+    header.write_text(json.dumps(content))
+
+
+def test_a_dataset_without_checksums_of_its_headers_is_read(dataset: Dataset) -> None:
+    edit(dataset.path)
+    np.testing.assert_array_equal(Dataset.open(dataset.path).poses[:], whole().pose)
+
+
 def complaint(path: Path) -> str:
     with pytest.raises(PrtnetError) as caught:
         Dataset.open(path)
@@ -233,10 +248,7 @@ def test_what_is_no_dataset(tmp_path: Path) -> None:
 
 
 def test_another_format_version(dataset: Dataset) -> None:
-    header = dataset.path / "zarr.json"
-    content = json.loads(header.read_text())
-    content["attributes"]["format_version"] = FORMAT_VERSION + 1
-    header.write_text(json.dumps(content))
+    edit(dataset.path, format_version=FORMAT_VERSION + 1)
     assert f"of another format version ({FORMAT_VERSION + 1}" in complaint(dataset.path)
 
 
@@ -247,10 +259,7 @@ def test_a_missing_array(dataset: Dataset, name: str) -> None:
 
 
 def test_a_missing_attribute(dataset: Dataset) -> None:
-    header = dataset.path / "zarr.json"
-    content = json.loads(header.read_text())
-    del content["attributes"]["held_out"]
-    header.write_text(json.dumps(content))
+    edit(dataset.path, held_out=None)
     assert "held_out" in complaint(dataset.path)
 
 
@@ -265,7 +274,7 @@ def test_a_truncated_chunk(dataset: Dataset) -> None:
     chunk.write_bytes(chunk.read_bytes()[:-10])
     rows = Dataset.open(dataset.path).visibility
     np.testing.assert_array_equal(rows[:4], whole().visibility[:4])
-    with pytest.raises(PrtnetError, match="'visibility' is damaged"):
+    with pytest.raises(PrtnetError, match="'visibility' is damaged in block 1;"):
         rows[4:8]
 
 

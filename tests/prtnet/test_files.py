@@ -2,6 +2,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -54,6 +57,23 @@ def test_interrupt_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         stopped()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_killed_processes_left_is_deleted(tmp_path: Path) -> None:
+    """And nothing of those that run, of other machines, or of other outputs."""
+    with subprocess.Popen([sys.executable, "-c", ""]) as ended:
+        pass
+    names = {
+        f".out.txt.{platform.node()}-{ended.pid}.partial.txt": False,
+        f".out.txt.{platform.node()}-{os.getppid()}.partial.txt": True,
+        f".out.txt.another-{ended.pid}.partial.txt": True,
+        f".my.out.txt.{platform.node()}-{ended.pid}.partial.txt": True,
+        f".out.txt.{platform.node()}-mine.partial.txt": True,
+    }
+    for name in names:
+        (tmp_path / name).touch()
+    write(tmp_path / "out.txt", "x")
+    assert {name: (tmp_path / name).exists() for name in names} == names
 
 
 def test_folder_replaces_folder(tmp_path: Path) -> None:

@@ -1,0 +1,324 @@
+"""Faults in the middle of every long command: the same command again has to mend all of it.
+
+    python bench/faults.py [FAULTS [SEED]] [--write]
+
+FAULTS of each kind, in every command: kill -9 at a random moment; kill -9 at a random one of its
+steps on the disk, in the middle of a write where the step is one; a write that finds no room; and,
+where tmpfs may be mounted, a disk that is too small by a random amount. In every second case an
+older output stands under the final name. A case has survived where nothing but a whole output
+(the older or the new one) ever stood under the final name, the same command then ended well, its
+bytes are those of an undisturbed run, and it left nothing else behind.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import multiprocessing
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bench.tables import ROOT, publish
+from data_gen.gltf_writer import write_glb
+from data_gen.procedural import arm
+from prtnet.cli import run
+
+DEFAULTS = (25, 0)  # faults of each kind in each command, seed
+PAGE = ROOT / "docs" / "reliability.md"
+STEPS = ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.truncate")
+NEEDS_ROOM = ("open", "os.mkdir")
+MAKES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
+ROOM = 256 << 20  # bytes of a disk that is large enough
+PRELOAD = ("prtnet.cli_bake", "prtnet.lobe_fit", "data_gen.generate", "data_gen.bake",
+           "prtnet.report", "training.sweep", "training.export", "runtime.report_page",
+           "runtime.onnx_model")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Job:
+    """A command line with ``{inputs}`` and ``{out}`` in it.
+
+    Attributes:
+        words: the command line.
+        out: name of the output.
+        older: words that stand there instead in a run that makes an older output.
+        exact: whether the same run writes the same bytes; otherwise a page is whole at its end.
+    """
+
+    words: str
+    out: str
+    older: tuple[str, str]
+    exact: bool = True
+
+    @property
+    def name(self) -> str:
+        return self.words.split()[0]
+
+    def argv(self, inputs: Path, out: Path, older: bool = False) -> list[str]:
+        words = self.words.replace(*self.older) if older else self.words
+        return [*(w.format(inputs=inputs, out=out) for w in words.split()), "--quiet"]
+
+
+JOBS = (
+    Job("generate {inputs}/arm.glb --out {out} --count 9 --rays 32 --order 3 --block 2 "
+        "--threads 2", "arm.zarr", ("--rays 32", "--rays 16")),
+    Job("train {inputs}/arm.zarr --out {out} --kind linear --threads 1", "arm.safetensors",
+        ("linear", "constant")),
+    Job("bake bumps --out {out} --size 8x8 --rays 32 --order 3 --lobes 1 --threads 1",
+        "bumps.safetensors", ("--rays 32", "--rays 16")),
+    Job("export {inputs}/arm.safetensors --out {out}", "export",
+        ("--out {out}", "--out {out} --storage int8")),
+    Job("report {inputs}/arm.zarr --out {out} --quick --renderer cpu --threads 1", "arm.html",
+        ("--light studio", "--light sky"), exact=False),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What goes wrong.
+
+    Attributes:
+        seconds: kill after so many.
+        step: at which step on the disk, from 1; 0 for none.
+        full: that step finds no room; otherwise it is the last thing that happens.
+        room: bytes that the disk has in all.
+    """
+
+    seconds: float | None = None
+    step: int = 0
+    full: bool = False
+    room: int | None = None
+
+    @property
+    def kind(self) -> str:
+        if self.room is not None or self.full:
+            return "disk full" if self.full else "small disk"
+        return "kill -9 at a step" if self.step else "kill -9 at a moment"
+
+
+@dataclass
+class Steps:
+    """An audit hook: counts what a process does in a folder, and strikes at one of its steps."""
+
+    folder: str
+    fault: Fault
+    count: int = 0
+    busy: bool = field(default=False, repr=False)
+
+    def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if self.busy or event not in STEPS or not isinstance(arguments[0], str | os.PathLike):
+            return
+        path = os.fspath(arguments[0])
+        inside = str(path).startswith(self.folder)
+        # Trees are deleted by names relative to an open folder.
+        relative = event in ("os.remove", "os.rmdir") and not os.path.isabs(path)
+        if not (inside or relative) or (event == "open" and not arguments[2] & MAKES):
+            return
+        if self.fault.full and event not in NEEDS_ROOM:
+            return
+        self.count += 1
+        if self.count == self.fault.step:
+            if self.fault.full:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
+            if event == "open":
+                self.busy = True
+                with open(path, "ab") as file:
+                    file.write(bytes(10))
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def process(argv: list[str], told: Path, folder: Path, fault: Fault) -> None:
+    """The child: one command line; its words of complaint and its steps go into ``told``."""
+    with open(told, "w") as words:
+        os.dup2(words.fileno(), 2)
+        steps = Steps(str(folder), fault)
+        sys.addaudithook(steps)
+        status = run(argv)
+        sys.stderr.flush()
+        told.with_suffix(".steps").write_text(str(steps.count))
+        os._exit(status)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    status: int  # −9 for killed
+    seconds: float
+    steps: int
+    told: str
+
+
+class Bench:
+    """A folder with inputs, and whole outputs of every job.
+
+    Args:
+        folder: an empty one.
+        jobs: to make ready for.
+        preload: modules that processes start with, to start faster.
+    """
+
+    def __init__(
+        self, folder: Path, jobs: tuple[Job, ...] = JOBS, preload: tuple[str, ...] = PRELOAD
+    ) -> None:
+        self.folder, self.inputs, self.work = folder, folder / "inputs", folder / "work"
+        self.told = folder / "told"
+        self.inputs.mkdir()
+        self.work.mkdir()
+        self.context = multiprocessing.get_context("forkserver")
+        self.context.set_forkserver_preload(["bench.faults", *preload])
+        self.whole: dict[str, dict[str, str]] = {}
+        self.sound: dict[str, Outcome] = {}
+        write_glb(arm(segments=6), self.inputs / "arm.glb")
+        for job in JOBS[:2]:  # the others' inputs
+            if any(job.out in other.words for other in jobs):
+                self.run(job.argv(self.inputs, self.inputs / job.out))
+        for job in jobs:
+            self.older(job).mkdir()
+            for old in (True, False):
+                self.sound[job.name] = self.run(job.argv(self.inputs, self.work / job.out, old))
+                assert self.sound[job.name].status == 0, self.sound[job.name].told
+                if old:
+                    (self.work / job.out).rename(self.older(job) / job.out)
+            self.whole[job.name] = contents(self.work / job.out)
+            clear(self.work)
+
+    def older(self, job: Job) -> Path:
+        return self.folder / f"older-{job.name}"
+
+    def run(self, argv: list[str], fault: Fault | None = None) -> Outcome:
+        """One run of a command line, disturbed or not."""
+        arguments = (argv, self.told, self.work, fault or Fault())
+        child = self.context.Process(target=process, args=arguments)
+        started = time.perf_counter()
+        child.start()
+        child.join(None if fault is None else fault.seconds)
+        if child.is_alive():
+            child.kill()
+            child.join()
+        seconds = time.perf_counter() - started
+        steps = self.told.with_suffix(".steps")
+        count = int(steps.read_text()) if child.exitcode in (0, 2) else 0
+        assert child.exitcode is not None
+        return Outcome(child.exitcode, seconds, count, self.told.read_text())
+
+    def faults(self, job: Job, number: int, rng: random.Random) -> Iterator[Fault]:
+        """So many of each kind."""
+        sound = self.sound[job.name]
+        size = sum(f.stat().st_size for f in self.older(job).rglob("*") if f.is_file())
+        for _ in range(number):
+            yield Fault(seconds=rng.uniform(0.1, 1.1) * sound.seconds)
+        for _ in range(number):
+            yield Fault(step=rng.randint(1, sound.steps))
+        for _ in range(number):
+            yield Fault(step=rng.randint(1, sound.steps), full=True)
+        for _ in range(number if os.geteuid() == 0 else 0):
+            yield Fault(room=4096 * rng.randint(1, max(2, size // 4096)))
+
+    def survives(self, job: Job, fault: Fault, old: bool) -> str:
+        """What was lost; an empty text where nothing was."""
+        out = self.work / job.out
+        argv = job.argv(self.inputs, out)
+        with disk(self.work, fault.room) as resize:
+            if old and fault.room is None:
+                copy(self.older(job) / job.out, out)
+            before = contents(out)
+            hurt = self.run(argv, fault)
+            complaint = hurt.told.strip()
+            if hurt.status == 2 and not (
+                complaint.startswith("prtnet: error: ") and "\n" not in complaint
+            ):
+                return f"complaint of another kind: {complaint[-300:]}"
+            if hurt.status not in (-9, 0, 2):
+                return f"ended with status {hurt.status}: {complaint[-300:]}"
+            found = contents(out)
+            if found and found != before and not self.is_whole(job, out):
+                return f"not whole under its final name after {hurt}"
+            resize(ROOM)
+            again = self.run(argv)
+            if again.status != 0:
+                return f"the same command again failed: {again.told.strip()[-300:]}"
+            if not self.is_whole(job, out):
+                return "the same command again wrote something else"
+            if (left := [path.name for path in self.work.iterdir() if path != out]) != []:
+                return f"left {left}"
+            clear(self.work)
+        return ""
+
+    def is_whole(self, job: Job, out: Path) -> bool:
+        if job.exact:
+            return contents(out) == self.whole[job.name]
+        return out.is_file() and out.read_text(encoding="utf-8").rstrip().endswith("</html>")
+
+
+def contents(path: Path) -> dict[str, str]:
+    """SHA-256 of every file of a file or folder, by its name there; empty where there is none."""
+    files = [path] if path.is_file() else sorted(f for f in path.rglob("*") if f.is_file())
+    return {str(f.relative_to(path)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
+
+
+def copy(source: Path, target: Path) -> None:
+    if source.is_dir():
+        shutil.copytree(source, target)
+    else:
+        shutil.copyfile(source, target)
+
+
+def clear(folder: Path) -> None:
+    for path in folder.iterdir():
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+@contextmanager
+def disk(folder: Path, room: int | None) -> Iterator[Any]:
+    """The folder as a disk of its own with so much room, and a function that changes that."""
+
+    def mount(size: int, how: str = "") -> None:
+        command = ["mount", "-t", "tmpfs", "-o", f"{how}size={size}", "tmpfs", str(folder)]
+        subprocess.run(command, check=True)
+
+    if room is None:
+        yield lambda _: None
+        return
+    mount(room)
+    try:
+        yield lambda size: mount(size, "remount,")
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def main() -> None:
+    given = [int(word) for word in sys.argv[1:] if word.isdigit()]
+    number, seed = [*given, *DEFAULTS[len(given) :]][:2]
+    rng = random.Random(seed)
+    kinds: dict[str, int] = {}
+    rows, lost = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        bench = Bench(Path(folder))
+        for job in JOBS:
+            kinds, failures = {}, 0
+            for index, fault in enumerate(bench.faults(job, number, rng)):
+                kinds[fault.kind] = kinds.get(fault.kind, 0) + 1
+                if problem := bench.survives(job, fault, old=index % 2 == 1):
+                    failures += 1
+                    lost.append(f"{job.name}: {fault}: {problem}")
+                    print(lost[-1])
+                    clear(bench.work)
+            injected = sum(kinds.values())
+            rows.append([f"`prtnet {job.name}`", *kinds.values(), injected - failures, failures])
+    columns = ["command", *kinds, "survived", "lost"]
+    publish("faults", columns, rows, f"Seed {seed}.", PAGE)
+    sys.exit(1 if lost else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""Mends a dataset that is damaged on the disk: only what does not have its checksum is written.
+
+The one who repairs knows how the dataset was made. Headers and the arrays that no pose changes are
+made anew and compared byte by byte; blocks of poses whose checksums fail, or that are missing, are
+for the caller to compute again.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+
+from prtnet.dataset import (
+    HEADERS,
+    POSE_ARRAYS,
+    SELF,
+    Block,
+    DatasetWriter,
+    array_of,
+    create,
+    header_of,
+    header_sums,
+    readable,
+)
+from prtnet.errors import PrtnetError
+from prtnet.files import remove
+
+__all__ = ["DatasetRepair"]
+
+
+class DatasetRepair(DatasetWriter):
+    """A writer of the blocks of a finished dataset that are damaged.
+
+    Args:
+        path: the dataset.
+        attributes, fixed, poses, block: as they were given to the writer that made it.
+
+    Attributes:
+        mended: what was damaged: files, and blocks of arrays.
+
+    Raises:
+        PrtnetError: there is none, it was made otherwise, or it cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        attributes: Mapping[str, Any],
+        fixed: Mapping[str, np.ndarray[Any, Any]],
+        poses: int,
+        block: int,
+    ) -> None:
+        self.path = Path(path).resolve()
+        self.poses, self.block = poses, block
+        self.mended: list[str] = []
+        if not header_of(self.path, "").is_file():
+            raise PrtnetError(path, "is no dataset to repair; leave out --repair to make it")
+        sound = self.path.with_name(f".{self.path.name}.repair")
+        with self._disk():
+            remove(sound)
+            try:
+                create(sound, attributes, fixed, poses, block)
+                self._require_same(sound)
+                self._mend(sound)
+            finally:
+                remove(sound)
+            self._group = zarr.open_group(str(self.path), mode="r+", zarr_format=3)
+        self.bad = {
+            number: names
+            for number in range(self.blocks)
+            if (names := [name for name in POSE_ARRAYS if not self._whole(name, number)])
+        }
+
+    def _require_same(self, sound: Path) -> None:
+        """Refuse a dataset that was made with other options or versions than are given now."""
+        wanted = dict(zarr.open_group(str(sound), mode="r").attrs)
+        try:
+            group = zarr.open_group(str(self.path), mode="r", zarr_format=3)
+            found: dict[str, Any] = dict(group.attrs)
+            known = header_sums(self.path, found)[SELF]
+            intact = found[HEADERS][SELF] == known
+        except (OSError, ValueError, KeyError, TypeError, zarr.errors.GroupNotFoundError):
+            intact = False
+        if intact:
+            other = sorted(
+                name
+                for name in {*wanted, *found} - {HEADERS}
+                if wanted.get(name) != found.get(name)
+            )
+            if other:
+                what = ", ".join(f"{name} {found.get(name)}" for name in other[:3])
+                raise PrtnetError(
+                    self.path, f"was made with {what}; repeat the command line that made it"
+                )
+        # The header of this array has the fingerprint of everything that decides the content.
+        told = header_of(self.path, "visibility")
+        same = told.is_file() and told.read_bytes() == header_of(sound, "visibility").read_bytes()
+        if not (intact or same):
+            raise PrtnetError(
+                self.path, "was made with other options, or too much is damaged; generate it again"
+            )
+
+    def _mend(self, sound: Path) -> None:
+        """Put the headers and fixed arrays of ``sound`` where the dataset's differ from them."""
+        for file in sorted(path for path in sound.rglob("*") if path.is_file()):
+            name = file.relative_to(sound)
+            own = self.path / name
+            if not own.is_file() or own.read_bytes() != file.read_bytes():
+                own.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(file, own)
+                self.mended.append(name.as_posix())
+
+    def _whole(self, name: str, number: int) -> bool:
+        """Whether a block of an array is there and has its checksum."""
+        array = array_of(self._group, name)
+        key = array.metadata.encode_chunk_key((number, *(0,) * (array.ndim - 1)))
+        return (self.path / name / key).is_file() and readable(array, number)
+
+    def missing(self) -> list[int]:
+        """Blocks of which an array is damaged or missing."""
+        return list(self.bad)
+
+    def write(self, block: int, values: Block) -> None:
+        """Write the damaged arrays of a block again."""
+        with self._disk():
+            for name in self.bad[block]:
+                array_of(self._group, name)[self.span(block)] = getattr(values, name)
+                self.mended.append(f"block {block} of {name}")
+
+    def finish(self) -> Path:
+        """Clear away what Zarr had begun to write when it was killed."""
+        with self._disk():
+            self._clear(self.path)
+        return self.path

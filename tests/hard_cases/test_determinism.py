@@ -1,0 +1,72 @@
+"""The same command on the same machine writes the same bytes; with more threads, nearly those."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from data_gen.gltf_writer import write_glb
+from data_gen.procedural import arm
+from prtnet.cli import run
+from prtnet.dataset import Dataset
+from prtnet.model import VisibilityModel
+
+ROUNDING = 2e-3  # of visibility, whose largest coefficient is √4π; docs/conventions.md
+
+
+@pytest.fixture(autouse=True)
+def _threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "arm.glb"
+    write_glb(arm(segments=6), path)
+    return path
+
+
+def command(words: str, *paths: Path) -> None:
+    assert run([*(word.format(*paths) for word in words.split()), "--quiet"]) == 0
+
+
+def everything(scene: Path, folder: Path, threads: int = 1) -> Path:
+    folder.mkdir()
+    count, files = f"--threads {threads}", (scene, folder)
+    command("generate {0} --out {1}/arm.zarr --count 9 --rays 32 --block 4 --sample 3 " + count,
+            *files)  # fmt: skip
+    command("train {1}/arm.zarr --out {1}/arm.safetensors --preset small --iterations 60 "
+            "--storage int8 " + count, *files)  # fmt: skip
+    command("export {1}/arm.safetensors --out {1}/export", *files)
+    command("render {1}/arm.safetensors {0} --out {1}/arm.png --size 64x64 --renderer cpu "
+            + count, *files)  # fmt: skip
+    command("bake bumps --out {1}/bumps.safetensors --size 8x8 --rays 32 --lobes 1 " + count,
+            *files)  # fmt: skip
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+
+
+def test_the_same_commands_write_the_same_bytes(scene: Path, tmp_path: Path) -> None:
+    one, two = (everything(scene, tmp_path / name) for name in ("one", "two"))
+    first, second = contents(one), contents(two)
+    assert first.keys() == second.keys()
+    assert [name for name in first if first[name] != second[name]] == []
+
+    more = everything(scene, tmp_path / "more", threads=2)
+    other = contents(more)
+    data = [name for name in first if name.startswith(("arm.zarr", "bumps"))]
+    assert [name for name in data if first[name] != other[name]] == []
+    poses = Dataset.open(one / "arm.zarr").read("pose")
+    models = [VisibilityModel.load(at / "arm.safetensors") for at in (one, more)]
+    assert [model.metadata["made_with"]["threads"] for model in models] == [1, 2]
+    a, b = (model(poses) for model in models)
+    np.testing.assert_allclose(a, b, atol=ROUNDING)
