@@ -142,30 +142,14 @@ def arguments(name: str, argv: Sequence[str], *parts: Any) -> tuple[Any, ...]:
 
 
 def info(argv: Sequence[str]) -> None:
-<<<<<<< HEAD
     """Describe a scene, a dataset, a model or a field."""
-=======
-    """Describe a scene, a dataset, a model or a field of transfer or lobes."""
-    from prtnet.array_file import ALL_FREQUENCY, LOBES, TRANSFER, header_key
->>>>>>> af-cpca
     from prtnet.cli_arguments import input_file
     from prtnet.cli_options import InfoOptions
 
     options, session = arguments("info", argv, InfoOptions)
     path = input_file(options.file, folder=True)
 
-<<<<<<< HEAD
     from prtnet.cli_info import described
-=======
-        facts = (TransferField if kind == TRANSFER else LobeField).load(path).facts()
-    elif kind == ALL_FREQUENCY:
-        from prtnet.all_frequency_file import facts as facts_of
-        from prtnet.all_frequency_file import load_fields
-
-        facts = facts_of(load_fields(path))
-    elif path.suffix == ".safetensors":
-        from prtnet.model import VisibilityModel
->>>>>>> af-cpca
 
     session.finish(described(path))
 
