@@ -26,10 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMANDS", "main", "run"]
 
-# What the demonstration spends, in generate and in train.
-DEMO_EFFORT = ["--fps", "8", "--rays", "256", "--sample", "150"]
-DEMO_FIT = ["--preset", "small"]
-
 
 @dataclass(frozen=True)
 class Command:
@@ -414,6 +410,7 @@ def bake_all_frequency(argv: Sequence[str]) -> None:
 def demo(argv: Sequence[str]) -> None:
     """Everything, on the bundled character."""
     from prtnet.cli_arguments import output_folder
+    from prtnet.cli_demo import demo_steps
     from prtnet.cli_options import DemoOptions
 
     options, session = arguments("demo", argv, DemoOptions)
@@ -429,20 +426,6 @@ def demo(argv: Sequence[str]) -> None:
     session.console.message("")
     onnx, picture = options.out / "export" / "model.onnx", options.out / "frame.png"
     session.finish({"onnx": onnx, "picture": picture, "errors": options.out / "errors.json"})
-
-
-def demo_steps(out: Path, held_out: Sequence[str]) -> list[list[str]]:
-    """The command lines of the demonstration."""
-    scene, data, model = (str(out / f"mannequin.{kind}") for kind in ("glb", "zarr", "safetensors"))
-    holdout, errors = ",".join(held_out), str(out / "errors.json")
-    picture = ["--clip", held_out[0], "--compare", "truth", "--out", str(out / "frame.png")]
-    return [
-        ["generate", scene, "--out", data, "--holdout", holdout, *DEMO_EFFORT],
-        ["train", data, "--out", model, *DEMO_FIT],
-        ["export", model, "--out", str(out / "export")],
-        ["render", model, scene, *picture],
-        ["evaluate", model, data, "--json", errors],
-    ]
 
 
 def threads(count: int | None) -> int:

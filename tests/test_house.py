@@ -33,8 +33,9 @@ ALLOWED = {
 }
 # Commands drive all packages; a report, which trains and draws, is long enough for its own module.
 COMMANDS_OF = (
-    "", "_bake", "_bake_all_frequency", "_evaluate", "_info", "_render", "_render_all_frequency",
-    "_render_field", "_report", "_train", "_view", "_view_all_frequency", "_view_field",
+    "", "_bake", "_bake_all_frequency", "_demo", "_evaluate", "_info", "_render",
+    "_render_all_frequency", "_render_field", "_report", "_train", "_view",
+    "_view_all_frequency", "_view_field",
 )  # fmt: skip
 COMMAND_LINE = tuple(f"prtnet/cli{name}.py" for name in COMMANDS_OF)
 FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}

@@ -19,7 +19,7 @@ from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm, mannequin
 from data_gen.readers import read_scene
 from data_gen.visibility import Tracer, trace_pose
-from prtnet import cli, sh
+from prtnet import cli, cli_demo, sh
 from prtnet.console import Console, Report
 from prtnet.dataset import Dataset
 from prtnet.model import VisibilityModel
@@ -467,8 +467,8 @@ def test_demonstration(
 ) -> None:
     coarse = mannequin(0.06)
     monkeypatch.setattr("data_gen.procedural.mannequin", lambda: coarse)
-    monkeypatch.setattr(cli, "DEMO_EFFORT", ["--count", "4", "--rays", "16", "--sample", "8"])
-    monkeypatch.setattr(cli, "DEMO_FIT", ["--kind", "linear", "--clusters", "4"])
+    monkeypatch.setattr(cli_demo, "DEMO_EFFORT", ["--count", "4", "--rays", "16", "--sample", "8"])
+    monkeypatch.setattr(cli_demo, "DEMO_FIT", ["--kind", "linear", "--clusters", "4"])
     folder = tmp_path / "demo"
     prtnet("demo", "--out", folder, "--json", tmp_path / "paths.json")
     paths = json.loads((tmp_path / "paths.json").read_text())
@@ -490,7 +490,7 @@ def test_demonstration(
     assert [line for line in out.splitlines() if line.split()[-1:] == [paths["onnx"]]]
     assert paths["picture"] in out
     assert paths["errors"] in out
-    assert err.count("\n$ prtnet ") == len(cli.demo_steps(folder, ["dance"]))
+    assert err.count("\n$ prtnet ") == len(cli_demo.demo_steps(folder, ["dance"]))
 
 
 BAD: list[tuple[Sequence[str], str]] = [
@@ -572,7 +572,7 @@ def test_misuse_is_one_line(
     assert sorted(work.iterdir()) == before  # nothing is left behind
 
 
-@pytest.mark.parametrize("step", cli.demo_steps(Path("demo"), ["dance"]), ids=str)
+@pytest.mark.parametrize("step", cli_demo.demo_steps(Path("demo"), ["dance"]), ids=str)
 def test_steps_of_the_demonstration_parse(
     step: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
