@@ -52,7 +52,9 @@ class VertexProbe:
                 self.program[name] = unit
         self._mesh: Any = context.vertex_array(self.program, [])
         self._result: Any = context.buffer(reserve=16 * len(names))
-        self._frame: Any = context.simple_framebuffer((1, 1))  # OpenGL draws nothing without one
+        # OpenGL draws nothing without one.
+        self._pixel: Any = context.renderbuffer((1, 1))
+        self._frame: Any = context.framebuffer([self._pixel])
         self._scope: Any = context.scope(self._frame)
 
     def __call__(self, receiver: int) -> FloatArray:
@@ -64,5 +66,6 @@ class VertexProbe:
 
     def release(self) -> None:
         """Give everything back but the context."""
-        for held in (self._scope, self._frame, self._mesh, self._result, self.program):
-            held.release()
+        held = self._scope, self._frame, self._pixel, self._mesh, self._result, self.program
+        for one in held:
+            one.release()

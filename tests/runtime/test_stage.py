@@ -205,7 +205,6 @@ def test_what_one_receiver_sees_is_read_back(what):
     tables, context = gpu_tables(model), create_context()
     expected = model(poses)
     with context:
-        context.simple_framebuffer((1, 1)).use()
         stage = Stage(context, model.order, tables)
         for pose in (0, 1, 0):
             given = [latents_of(model, tables, poses[pose])]

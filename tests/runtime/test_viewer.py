@@ -173,6 +173,125 @@ def test_the_panel_draws_and_explains_the_keys(viewer):
     assert viewer.window.buffer_size == (200, 150)
 
 
+def click(viewer: Viewer, x: float, y: float) -> None:
+    """Press and release the left button at a place from the top left; frames in between."""
+    from pyglet.window import mouse
+
+    up = viewer.window.size[1] - 1 - round(y)
+    send(viewer, "on_mouse_motion", round(x), up, 0, 0)
+    viewer.step(0.02)
+    for kind in ("on_mouse_press", "on_mouse_release"):
+        send(viewer, kind, round(x), up, mouse.LEFT, 0)
+        viewer.step(0.02)
+
+
+def test_sliders_of_the_panel_are_moved_by_the_mouse(viewer, monkeypatch):
+    """Split, share of the blend, turn and lobes of light, factors, a parameter of the BRDF."""
+    view, imgui, size = viewer.view, viewer.imgui, (900, 1000)
+    viewer.window._window.set_size(*size)
+    send(viewer, "on_resize", *size)
+    view.blend_clip, view.blend = "bend", 0.5
+    places: dict[str, Any] = {}
+
+    def noting(draw):
+        def noted(label, *given):
+            found = draw(label, *given)
+            low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+            places[label] = low.x, high.x, 0.5 * (low.y + high.y)
+            return found
+
+        return noted
+
+    for name in ("slider_float", "slider_int"):
+        monkeypatch.setattr(imgui, name, noting(getattr(imgui, name)))
+    for _ in range(3):  # until the panel has its size
+        viewer.step(0.02)
+
+    def slide(label: str, share: float) -> None:
+        left, right, y = places[label]
+        width = 330 - 2 * imgui.get_style().window_padding.x  # of the slider without its label
+        right = min(right, left + 0.65 * width)
+        click(viewer, left + share * (right - left), y)
+
+    before = dataclasses.asdict(view)
+    slide("split (C)", 0.5)
+    assert 0.3 < view.split < 0.7
+    slide("share", 0.8)
+    assert 0.7 < view.blend < 0.9
+    slide("turn", 0.25)
+    assert 60.0 < view.light_turn < 120.0
+    slide("factors", 0.9)
+    assert view.factors > 12
+    slide("exposure", 0.2)
+    assert -3.0 < view.exposure < -1.8
+    slide("exponent", 0.9)
+    exponent = viewer.show.brdf(view).exponent
+    assert view.brdf.startswith("phong:")
+    assert 80.0 < exponent < 200.0  # the slider is logarithmic
+    slide("time", 0.5)
+    assert 1.5 < view.time < 2.5
+    changed = {key for key, value in dataclasses.asdict(view).items() if value != before[key]}
+    assert changed == {
+        "split", "blend", "light_turn", "factors", "exposure", "brdf", "time",
+    }  # fmt: skip
+    assert viewer.message == ""
+
+
+def whole_window(viewer: Viewer) -> np.ndarray:
+    """A frame with the panel, in a framebuffer that no other window can lie over."""
+    size = viewer.window.buffer_size
+    target = viewer.window.ctx.simple_framebuffer(size)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(type(viewer.window), "fbo", property(lambda _: target))
+        viewer.render(0.0, 0.02)
+    data = np.frombuffer(target.read(alignment=1), dtype=np.uint8)
+    target.release()
+    return data.reshape(size[1], size[0], 3)[::-1].astype(int)
+
+
+def test_help_lies_over_the_picture_until_it_is_asked_away(viewer):
+    size = (900, 400)
+    viewer.window._window.set_size(*size)
+    send(viewer, "on_resize", *size)
+    for _ in range(3):
+        viewer.step(0.02)
+    without = whole_window(viewer)
+    press(viewer, "H")
+    for _ in range(3):  # imgui measures a window before it is seen
+        viewer.step(0.02)
+    shown = np.abs(whole_window(viewer) - without).max(axis=-1)[:, 360:] > 20  # beside the panel
+    rows, columns = np.nonzero(shown)
+    assert np.ptp(rows) > 14 * len(viewer.help)  # a line of text each
+    assert abs(rows.mean() - 0.5 * size[1]) < 0.1 * size[1]
+    assert abs(columns.mean() + 360 - 0.5 * size[0]) < 0.1 * size[0]
+    press(viewer, "H")
+    viewer.step(0.02)
+    away = np.abs(whole_window(viewer) - without)
+    assert away[:, 360:].max() <= 1
+
+
+@pytest.mark.parametrize("size", [(90, 200), (321, 123)])
+def test_a_window_of_another_size_shows_what_is_drawn_at_that_size(viewer, size):
+    show, view = viewer.show, viewer.view
+    show.screen.samples = 0
+    read(viewer)
+    for step in (size, (250, 250), size):
+        viewer.window._window.set_size(*step)
+        send(viewer, "on_resize", *step)
+        viewer.step(0.02)
+    assert viewer.window.buffer_size == size
+    seen = read(viewer)
+    assert seen.shape == (size[1], size[0], 3)
+    subject = posed_subject(show.actor, show.pose(view), show.predicted(view))
+    with opened("cpu") as renderer:
+        linear = render_material(
+            renderer, subject, show.lit(view), show.operator(view), show.camera(view), size,
+            samples=1,
+        )  # fmt: skip
+    expected = develop(linear, show.exposures["studio"]).astype(int)
+    assert np.mean(np.abs(seen - expected).max(axis=-1) <= 2) >= 0.999
+
+
 def test_what_cannot_be_shown_is_said_and_left_as_it_was(viewer, tmp_path):
     viewer.dropped(0, 0, [tmp_path / "none.binary"])
     assert "does not exist" in viewer.message
