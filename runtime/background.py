@@ -24,14 +24,27 @@ class Background(Generic[T]):
         """Whether something is being made."""
         return self.future is not None and not self.future.done()
 
+    @property
+    def unheard(self) -> bool:
+        """Whether what was made ended in an error that nobody has been told yet."""
+        done = self.future is not None and self.future.done()
+        return done and self.future is not None and self.future.exception() is not None
+
     def get(self, key: Any, make: Callable[[], T], wait: bool = False) -> T | None:
-        """What is asked for; None while it is being made, or something else still is."""
+        """What is asked for; None while it is being made, or something else still is.
+
+        An error is raised once: what is asked for again is made again.
+        """
         if wait and self.future is not None and self.key != key:
             self.future.exception()  # done with, whatever came of it
         if self.key != key and not self.busy:
             self.key, self.future = key, self.worker.submit(make)
-        ready = self.future is not None and self.key == key and (wait or self.future.done())
-        return self.future.result() if ready and self.future is not None else None
+        future = self.future
+        if future is None or self.key != key or not (wait or future.done()):
+            return None
+        if future.exception() is not None:
+            self.key = self.future = None
+        return future.result()
 
     def known(self, key: Any) -> T | None:
         """What was asked for under this key if it is there; nothing is begun."""

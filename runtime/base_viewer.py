@@ -202,7 +202,8 @@ class BaseViewer(ABC, Generic[S, V, D]):
             self.complain(error)
             vars(self.view).update(vars(self.good))
             self.show.draw(self.view, size, target)
-        if not self.show.waiting:  # what is still being made may fail yet
+        # What is still being made may fail yet, or has since it was asked for.
+        if not self.show.waiting and not self.show.failing:
             self.good = dataclasses.replace(self.view)
 
     def complain(self, error: Exception) -> None:

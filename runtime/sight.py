@@ -114,6 +114,11 @@ class Sight(ABC, Generic[V]):
         """What is being made in the background, in words; empty where nothing is."""
         return ", ".join(what for what, task in self.tasks.items() if task.busy)
 
+    @property
+    def failing(self) -> bool:
+        """Whether something that was made ended in an error that the next picture will meet."""
+        return any(task.unheard for task in self.tasks.values())
+
     def release(self) -> None:
         """Give everything back but the context; what is being made is waited for."""
         for task in self.tasks.values():

@@ -334,6 +334,25 @@ def test_a_frame_that_cannot_be_drawn_is_told_and_taken_back(viewer, tmp_path):
     assert viewer.view.left == "prediction"
 
 
+def test_what_fails_while_a_picture_is_drawn_is_told_by_the_next(viewer, monkeypatch):
+    """The material is asked for in a picture, and has failed by its end."""
+    viewer.show.settle(viewer.view)
+    viewer.step(0.0)
+    viewer.view.factors = 0
+    draw = viewer.show.draw
+
+    def slow(*given: Any) -> None:
+        draw(*given)
+        viewer.show._material.future.exception()
+
+    monkeypatch.setattr(viewer.show, "draw", slow)
+    viewer.picture()
+    assert viewer.message == ""
+    viewer.picture()
+    assert "at least one factor" in viewer.message
+    assert viewer.view.factors == 8
+
+
 def test_pictures_that_cannot_be_saved_are_told(viewer, tmp_path):
     viewer.step(0.0)
     viewer.desk.out = tmp_path / "none"
