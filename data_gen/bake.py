@@ -192,6 +192,8 @@ def bake_mesh(
     local = rotate(transfer, caster.frames.transpose(0, 2, 1)[:, None])
     layout = Surface(mesh.positions, mesh.normals, mesh.tangents, mesh.faces)
     facts = {**config.facts(), **told, "dropped": list(mesh.dropped)}
+    if config.medium is not None:
+        facts["longest"] = longest if metres is None else metres
     return field_of(local, layout, config, facts)
 
 

@@ -47,7 +47,6 @@ __all__ = [
     "fitted_to",
     "make_field_picture",
     "read_field",
-    "retraced",
     "worn_by",
 ]
 
@@ -71,7 +70,7 @@ class FieldOptions:
     time: float | None = None  # seconds; the middle of the clip when not given
     lobes: int | None = None  # fit so many lobes to transfer now; drawn as it is when not given
     form: Literal["table", "direct"] = "table"  # lobes: looked up in the light's table, or not
-    compare: str | None = None  # truth: trace a mesh as it is posed; sh: transfer; or its file
+    compare: str | None = None  # truth: traced as posed, of a patch if flat; sh; transfer's file
     light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
     light_turn: float = 0.0  # turn the light about the vertical by so many degrees
     dering: float = 0.0  # take ripples off a small bright light: 0.01 is mild, 0.1 strong
@@ -185,6 +184,7 @@ def make_field_picture(
     own = f"{field.count} lobes" if isinstance(field, LobeField) else "turned transfer"
     exposure: float | None = None  # one for all pictures
     errors: list[dict[str, float]] = []
+    beside: Canvas | None = None
     with contextlib.ExitStack() as held:
         draw = held.enter_context(opened_field(field, renderer, by_table))
         report = held.enter_context(console.progress())
@@ -193,9 +193,11 @@ def make_field_picture(
             if len(frames) > 1:
                 report("pictures", number, len(frames))
             canvas = posed(frame)
+            if canvas is not beside:  # a truth is traced once for what stands still
+                beside = canvas
+                told = compared_with(options, field, raw, canvas, threads, report)
             shot = FieldShot(canvas, harmonics, camera.around(frame.turn), options.size)
             seen = shot.drawn_by(draw, by_table)
-            told = compared_with(options, field, raw, canvas, threads, report)
             truth = None if told is None else shot.draw(told[0])
             if exposure is None:
                 exposure = auto_exposure(seen if truth is None else truth)
@@ -296,14 +298,12 @@ def compared_with(
     Raises:
         PrtnetError: there is none, or it is of something else.
     """
-    from prtnet.transfer import Surface
+    from prtnet.cli_field_truth import traced_anew
 
     if options.compare is None:
         return None
     if options.compare == "truth":
-        if not isinstance(field.layout, Surface):
-            raise PrtnetError("--compare", "truth is of meshes; of a patch compare with sh")
-        return retraced(field, canvas, threads, report), "ray-traced where it is"
+        return traced_anew(field, canvas, threads, report)
     if options.compare == "sh":
         if raw is None:
             raise PrtnetError("--compare", "sh needs transfer; name the field lobes were fitted to")
@@ -324,33 +324,6 @@ def fitted_to(field: LobeField | TransferField, path: str) -> TransferField:
     if not same or type(other.layout) is not type(field.layout):
         raise PrtnetError(path, "is of something else; name what lobes fit")
     return other
-
-
-def retraced(
-    field: LobeField | TransferField, canvas: Canvas, threads: int, report: Report
-) -> TransferField:
-    """Transfer of the mesh simulated again, as it is posed.
-
-    Raises:
-        PrtnetError: it scatters or is glossy.
-    """
-    from data_gen.bake import BakeConfig, bake_mesh
-    from data_gen.static_mesh import StaticMesh
-
-    told = field.metadata
-    if field.view is not None or "albedo" not in told:
-        raise PrtnetError("--compare", "truth is of matte meshes that do not scatter; leave it out")
-    config = BakeConfig(
-        order=field.order, rays=int(told["rays"]), bounces=int(told["bounces"]),
-        albedo=float(told["albedo"]), threads=threads,
-    )  # fmt: skip
-    positions, normals, tangents = (
-        part.astype(np.float32)
-        for part in (canvas.positions, canvas.normals, canvas.frames[..., 0])
-    )
-    every = np.arange(len(positions))
-    mesh = StaticMesh(positions, normals, tangents, canvas.faces, every)
-    return bake_mesh(mesh, config, None, report)
 
 
 def worn_by(on: str | None, repeat: int, layout: Patch | Surface) -> Worn:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
-from prtnet.cli_render_field import BUILT_IN, fitted_to, read_field, retraced, worn_by
+from prtnet.cli_field_truth import traced_anew
+from prtnet.cli_render_field import BUILT_IN, fitted_to, read_field, worn_by
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
 from prtnet.limits import (
@@ -132,7 +133,7 @@ def field_cast(
         transfer = field
 
     def retrace(canvas: Canvas) -> TransferField:
-        return retraced(field, canvas, threads, silent)
+        return traced_anew(field, canvas, threads, silent)[0]
 
     traceable = None if worn.rest.places is not None else retrace
     return FieldCast(worn, lobes, transfer, traceable, path.stat().st_size)

@@ -154,7 +154,7 @@ def test_opengl_and_numpy_draw_alike(files: Path, tmp_path: Path) -> None:
     ("name", "argv", "said"),
     [
         ("lobes", ["--compare", "sh"], "needs transfer"),
-        ("lobes", ["--compare", "truth"], "truth is of meshes"),
+        ("lobes", ["--compare", "truth"], "traced where it is flat"),
         ("lobes", ["--lobes", "3"], "--lobes: are fitted already"),
         ("raw", ["--form", "table"], "--form: is of lobes"),
         ("raw", ["--compare", "sh"], "--compare: sh is what is drawn already"),
