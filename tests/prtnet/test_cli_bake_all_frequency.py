@@ -75,9 +75,10 @@ def test_a_smaller_error_takes_more_bytes(prop: Path) -> None:
     ("words", "said"),
     [
         (["--rows", "0"], "--rows: is 0; it must be from 1 to 64"),
+        (["--rows", "3"], "--rows: does nothing for a matte material"),
         (["--terms", "0"], "--terms: is 0"),
         (["--points-per-cluster", "0"], "--points-per-cluster: is 0"),
-        (["--vertices", "3"], "--vertices: is 3; it must be from 4"),
+        (["--vertices", "3"], "--vertices: is 3; it must be at least 4"),
         (["--threads", "0"], "--threads: is 0"),
         (["--texels", "12"], "--texels: is 12; give 8, 16, 32 or 64"),
         (["--error", "many"], "--error: 'many' is no number"),
