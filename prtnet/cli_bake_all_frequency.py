@@ -7,8 +7,7 @@ clusters ``training``'s.
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ from tyro.conf import Positional
 
 from prtnet.errors import PrtnetError
 from prtnet.limits import MOST_FACTORS, MOST_THREADS, check_within
+from prtnet.provenance import made_with
 
 if TYPE_CHECKING:
     from prtnet.all_frequency import AllFrequencyField
@@ -31,6 +31,7 @@ TEXELS = (8, 16, 32, 64)  # that halve to one, and whose directions fill bytes
 GROUND = "lambert:diffuse=0.5"
 ROWS = 10
 MOST_TERMS = 256
+PACKAGES = ("numpy", "scipy", "torch", "embreex")  # whose versions a field's numbers depend on
 
 
 @dataclass(frozen=True)
@@ -133,22 +134,16 @@ def one(
     report: Report,
 ) -> AllFrequencyField:
     """A surface in the shadow of casters."""
-    import dataclasses
-
     from data_gen.all_frequency import SAMPLES, transfer_segments
     from data_gen.cube_visibility import cube_visibility
     from training.all_frequency import compress
 
-    started = time.perf_counter()
     seen = cube_visibility(surface, casters, SAMPLES * options.texels, threads, report)
-    traced = time.perf_counter()
-    segments: Iterator[Any] = transfer_segments(surface, seen, rows, threads, report)
-    found = compress(
-        segments, surface, rows.view, options.texels, options.compression(),
-        {**told, **rows.facts()}, report,
-    )  # fmt: skip
-    seconds = {"visibility": traced - started, "compression": time.perf_counter() - traced}
-    return dataclasses.replace(found, metadata={**found.metadata, "seconds": seconds})
+    segments = transfer_segments(surface, seen, rows, threads, report)
+    facts = {**told, **rows.facts(), "made_with": made_with(*PACKAGES, threads=threads)}
+    return compress(
+        segments, surface, rows.view, options.texels, options.compression(), facts, report
+    )
 
 
 def stages(field: AllFrequencyField) -> list[list[str]]:
