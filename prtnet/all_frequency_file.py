@@ -17,7 +17,15 @@ from prtnet.array_file import ALL_FREQUENCY, read_arrays, write_arrays
 from prtnet.sparse_columns import byte_count
 from prtnet.transfer import Surface, layout_facts, layout_from, layout_parts, whole
 
-__all__ = ["FORMAT_VERSION", "facts", "load_fields", "reached", "save_fields", "sizes"]
+__all__ = [
+    "FORMAT_VERSION",
+    "facts",
+    "load_fields",
+    "reached",
+    "save_fields",
+    "segment_sizes",
+    "sizes",
+]
 
 FORMAT_VERSION = 1
 OWN = ("vertices", "starts", "weights", "scale")  # arrays of a segment
@@ -109,22 +117,22 @@ def sizes(field: AllFrequencyField) -> dict[str, int]:
     ``weights``, ``clusters`` (which vertices, their scales) and ``view``, in all ``total``. The
     mesh itself is in none of them.
     """
-    columns = field.rows * (field.size // 2) ** 2
-    used = sum(int(np.count_nonzero(one.scale)) for one in field.segments)
-    weights = sum(one.weights.size for one in field.segments)
-    stored = {
-        "representatives": sum(byte_count(one.representatives) for one in field.segments),
-        "weights": sum(one.weights.nbytes for one in field.segments),
-        "clusters": sum(
-            one.vertices.nbytes + one.starts.nbytes + one.scale.nbytes for one in field.segments
-        ),
-        "view": field.view.nbytes,
-    }
+    parts = [segment_sizes(one) for one in field.segments]
+    found = {name: sum(part[name] for part in parts) for name in parts[0]}
+    raw = FLOAT * len(field) * SEGMENTS * field.rows * (field.size // 2) ** 2
+    found = {"raw": raw, **found, "view": field.view.nbytes}
+    stored = ("representatives", "weights", "clusters", "view")
+    return {**found, "total": sum(found[name] for name in stored)}
+
+
+def segment_sizes(one: Segment) -> dict[str, int]:
+    """Bytes of what a segment holds and is made of, see :func:`sizes`."""
+    used = int(np.count_nonzero(one.scale))
     return {
-        "raw": FLOAT * len(field) * SEGMENTS * columns,
-        "clustered": FLOAT * (used * columns + weights),
-        **stored,
-        "total": sum(stored.values()),
+        "clustered": FLOAT * (used * one.representatives.shape[1] + one.weights.size),
+        "representatives": byte_count(one.representatives),
+        "weights": one.weights.nbytes,
+        "clusters": one.vertices.nbytes + one.starts.nbytes + one.scale.nbytes,
     }
 
 

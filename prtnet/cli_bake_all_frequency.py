@@ -6,8 +6,8 @@ clusters ``training``'s.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from prtnet.errors import PrtnetError
+from prtnet.limits import MOST_FACTORS, MOST_THREADS, check_within
+from prtnet.provenance import made_with
 
 if TYPE_CHECKING:
     from prtnet.all_frequency import AllFrequencyField
@@ -27,6 +29,9 @@ __all__ = ["AllFrequencyOptions", "baked_fields", "stages"]
 
 TEXELS = (8, 16, 32, 64)  # that halve to one, and whose directions fill bytes
 GROUND = "lambert:diffuse=0.5"
+ROWS = 10
+MOST_TERMS = 256
+PACKAGES = ("numpy", "scipy", "torch", "embreex")  # whose versions a field's numbers depend on
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,7 @@ class AllFrequencyOptions:
     source: Positional[Path]  # mesh: .ply, .obj, .stl, .off, or a scene at rest
     out: Path  # field to write, a .safetensors file
     brdf: str = "matte"  # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file
-    rows: int = 10  # products that a glossy BRDF is a sum of; a matte one needs one
+    rows: int | None = None  # products that a glossy BRDF is a sum of, 10; a matte one is one
     vertices: int | None = None  # decimate a finer mesh to so many
     ground: bool = False  # a matte ground under the object, shadowed by it
     texels: int = 32  # of a face of the light's cube map, a side: 8, 16, 32 or 64
@@ -50,15 +55,14 @@ class AllFrequencyOptions:
         """Refuse values that cannot work."""
         from prtnet.cli_options import fraction_of
 
-        counts = {"--rows": (self.rows, 1, 64), "--terms": (self.terms, 1, 256),
-                  "--points-per-cluster": (self.points_per_cluster, 1, 1 << 20)}  # fmt: skip
-        if self.vertices is not None:
-            counts["--vertices"] = (self.vertices, 4, 1 << 24)
-        if self.threads is not None:
-            counts["--threads"] = (self.threads, 1, 1024)
-        for option, (value, least, most) in counts.items():
-            if not least <= value <= most:
-                raise PrtnetError(option, f"is {value}; it must be from {least} to {most}")
+        for option, value, least, most in (
+            ("--rows", self.rows, 1, MOST_FACTORS),
+            ("--terms", self.terms, 1, MOST_TERMS),
+            ("--points-per-cluster", self.points_per_cluster, 1, math.inf),
+            ("--vertices", self.vertices, 4, math.inf),
+            ("--threads", self.threads, 1, MOST_THREADS),
+        ):
+            check_within(option, value, least, most)
         if self.texels not in TEXELS:
             raise PrtnetError("--texels", f"is {self.texels}; give 8, 16, 32 or 64")
         if not 0.0 <= (fraction_of("--error", self.error) or 0.0) < 1.0:
@@ -85,7 +89,7 @@ def baked_fields(
     """The object, and the ground if it is asked for.
 
     Raises:
-        PrtnetError: the mesh or the material is none, or cannot be read.
+        PrtnetError: the mesh or the material is none, or cannot be read; a matte one is given rows.
     """
     import torch
 
@@ -93,30 +97,30 @@ def baked_fields(
     from data_gen.coarse_mesh import coarser
     from data_gen.static_mesh import read_mesh
     from prtnet.all_frequency_factors import row_factors
+    from prtnet.brdf import Lambert
     from prtnet.materials import brdf_named
     from prtnet.transfer import Surface
 
     torch.set_num_threads(threads)
     brdf = brdf_named(options.brdf)
+    if options.rows is not None and isinstance(brdf, Lambert):
+        raise PrtnetError("--rows", "does nothing for a matte material; leave it out")
     mesh = read_mesh(options.source)
     fine = mesh if options.vertices is None else coarser(mesh, options.vertices)
     surface = Surface(fine.positions, fine.normals, fine.tangents, fine.faces)
     measured = Path(options.brdf)
-    told = {
+    told: dict[str, Any] = {
         "source": options.source.name,
         "brdf": measured.name if measured.is_file() else options.brdf,
         "dropped": list(mesh.dropped),
     }
-    if not options.ground:
-        return (one(options, surface, [surface], row_factors(brdf, options.rows), told, threads,
-                    report),)  # fmt: skip
-    under = ground(surface)
-    both = [surface, under]
-    beside = {"source": "ground", "brdf": GROUND}
-    matte = row_factors(brdf_named(GROUND))
-    return (
-        one(options, surface, both, row_factors(brdf, options.rows), told, threads, report),
-        one(options, under, both, matte, beside, threads, report),
+    parts = [(surface, row_factors(brdf, options.rows or ROWS), told)]
+    if options.ground:
+        beside: dict[str, Any] = {"source": "ground", "brdf": GROUND}
+        parts.append((ground(surface), row_factors(brdf_named(GROUND)), beside))
+    casters = [part[0] for part in parts]
+    return tuple(
+        one(options, own, casters, rows, facts, threads, report) for own, rows, facts in parts
     )
 
 
@@ -130,22 +134,16 @@ def one(
     report: Report,
 ) -> AllFrequencyField:
     """A surface in the shadow of casters."""
-    import dataclasses
-
     from data_gen.all_frequency import SAMPLES, transfer_segments
     from data_gen.cube_visibility import cube_visibility
     from training.all_frequency import compress
 
-    started = time.perf_counter()
     seen = cube_visibility(surface, casters, SAMPLES * options.texels, threads, report)
-    traced = time.perf_counter()
-    segments: Iterator[Any] = transfer_segments(surface, seen, rows, threads, report)
-    found = compress(
-        segments, surface, rows.view, options.texels, options.compression(),
-        {**told, **rows.facts()}, report,
-    )  # fmt: skip
-    seconds = {"visibility": traced - started, "compression": time.perf_counter() - traced}
-    return dataclasses.replace(found, metadata={**found.metadata, "seconds": seconds})
+    segments = transfer_segments(surface, seen, rows, threads, report)
+    facts = {**told, **rows.facts(), "made_with": made_with(*PACKAGES, threads=threads)}
+    return compress(
+        segments, surface, rows.view, options.texels, options.compression(), facts, report
+    )
 
 
 def stages(field: AllFrequencyField) -> list[list[str]]:

@@ -28,7 +28,7 @@ from prtnet.sparse_columns import encode
 from prtnet.transfer import Surface
 from training.cpca import Components, CpcaConfig, clustered_components
 
-__all__ = ["CompressConfig", "Losses", "compress", "compressed"]
+__all__ = ["CompressConfig", "Losses", "clustered", "compress", "compressed", "stored"]
 
 MOST = 32767  # what a number of 16 bits holds, on either side
 SPARE = 0.1  # of what clusters lose, at least, is left for numbers that are left out
@@ -122,6 +122,7 @@ def compress(
         losses.append(lost)
         error = lost.errors()["stored"]
         report("compressed segments", number, SEGMENTS, f"error {100 * error:.2f} %")
+        del raw  # before the next is made
     whole = sum(losses, Losses())
     facts = {
         **(told or {}),
@@ -135,19 +136,35 @@ def compress(
 
 def compressed(raw: FloatArray, config: CompressConfig) -> tuple[Segment, Losses]:
     """A segment (P, m, (n/2)²) as it is stored, and what that loses."""
+    return stored(raw, clustered(raw, config), config.error)
+
+
+def clustered(raw: FloatArray, config: CompressConfig) -> Components:
+    """The clusters of a segment and their exact representatives."""
     points = raw.reshape(len(raw), -1)
-    reached = int(points.any(axis=1).sum())
-    many = config.clusters(reached)
+    many = config.clusters(int(points.any(axis=1).sum()))
     how = CpcaConfig(many, config.terms, rounds=config.rounds, seed=config.seed)
-    found = clustered_components(points, how)
+    return clustered_components(points, how)
+
+
+def stored(raw: FloatArray, found: Components, error: float) -> tuple[Segment, Losses]:
+    """A segment as it is stored, and what that loses.
+
+    Args:
+        raw: (P, m, (n/2)²).
+        found: its clusters.
+        error: to be reached, see :class:`CompressConfig`.
+    """
+    reached = int((found.label >= 0).sum())
     order = np.argsort(found.label, kind="stable")[len(raw) - reached :]
     sizes = np.bincount(found.label[order], minlength=len(found.axes))
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
     lost = found.error * found.energy
-    room = max(config.error * found.energy - lost, SPARE * lost)
+    room = max(error * found.energy - lost, SPARE * lost)
     kept, left = thresholded(scaled_wavelets(found, raw.shape[1:]), room)
-    segment, stored = fitted(points, order.astype(np.int32), starts, kept, raw.shape[1:])
-    return segment, Losses(found.energy, lost, lost + left, stored)
+    points, shape = raw.reshape(len(raw), -1), raw.shape[1:]
+    segment, missed = fitted(points, order.astype(np.int32), starts, kept, shape)
+    return segment, Losses(found.energy, lost, lost + left, missed)
 
 
 def scaled_wavelets(found: Components, shape: tuple[int, ...]) -> FloatArray:
