@@ -39,6 +39,9 @@ __all__ = [
 
 FORMAT_VERSION = 1
 SAMPLED = "sampled"  # the name of the clip that sampled poses belong to
+# Chunks of zeros are files too: one that is missing is then always a damaged copy. Of arrays, since
+# what is set for all of Zarr is set for all threads.
+EVERY_CHUNK: Any = {"write_empty_chunks": True}
 MARKERS = ".whole-blocks"
 MADE_WITH = "made_with"  # attribute: versions of what made it
 HEADERS = "headers_sha256"  # attribute: of every array's zarr.json, and of the other attributes
@@ -170,6 +173,11 @@ def array_of(group: zarr.Group, name: str) -> zarr.Array[Any]:
     if not isinstance(member, zarr.Array):
         raise KeyError(name)
     return member
+
+
+def writable(group: zarr.Group, name: str) -> zarr.Array[Any]:
+    """A member of a group to write to."""
+    return array_of(group, name).with_config(EVERY_CHUNK)
 
 
 class Dataset:
@@ -379,7 +387,7 @@ class DatasetWriter:
         """Write one block, and then its marker. Different blocks may be written at once."""
         with self._disk():
             for name in POSE_ARRAYS:
-                array_of(self._group, name)[self.span(block)] = getattr(values, name)
+                writable(self._group, name)[self.span(block)] = getattr(values, name)
             self._marker(block).touch()
 
     def finish(self) -> Path:
@@ -401,9 +409,7 @@ class DatasetWriter:
     @contextlib.contextmanager
     def _disk(self) -> Iterator[None]:
         try:
-            # A chunk that is missing is then always a damaged copy.
-            with zarr.config.set({"array.write_empty_chunks": True}):
-                yield
+            yield
         except OSError as error:
             reason = error.strerror or str(error)
             raise PrtnetError(
@@ -430,6 +436,7 @@ def create(
             shape=shape,
             chunks=tuple(max(size, 1) for size in (chunk, *shape[1:])),
             dtype=dtype,
+            config=EVERY_CHUNK,
             compressors=(
                 BloscCodec(cname="lz4", clevel=1, shuffle=BloscShuffle.shuffle),
                 Crc32cCodec(),  # Blosc alone reads a truncated chunk as if it were whole

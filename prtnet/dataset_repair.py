@@ -26,6 +26,7 @@ from prtnet.dataset import (
     header_of,
     header_sums,
     readable,
+    writable,
 )
 from prtnet.errors import PrtnetError
 from prtnet.files import remove
@@ -129,7 +130,7 @@ class DatasetRepair(DatasetWriter):
         """Write the damaged arrays of a block again."""
         with self._disk():
             for name in self.bad[block]:
-                array_of(self._group, name)[self.span(block)] = getattr(values, name)
+                writable(self._group, name)[self.span(block)] = getattr(values, name)
                 self.mended.append(f"block {block} of {name}")
 
     def finish(self) -> Path:

@@ -4,8 +4,11 @@ import contextlib
 import json
 import os
 import shutil
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -138,6 +141,36 @@ def test_nothing_stands_under_the_final_name_until_it_is_whole(tmp_path: Path) -
     book.write(0, part(whole(), book.span(0)))
     assert not (tmp_path / "set.zarr").exists()
     assert book.missing() == [1, 2]
+
+
+class Held:
+    """A block whose arrays are given once something else has happened."""
+
+    def __init__(self, block: Block, awaited: threading.Event) -> None:
+        self.block, self.asked, self.awaited = block, threading.Event(), awaited
+
+    def __getattr__(self, name: str) -> object:
+        self.asked.set()
+        assert self.awaited.wait(60)
+        return getattr(self.block, name)
+
+
+def test_a_thread_that_ends_changes_nothing_for_one_that_still_writes(tmp_path: Path) -> None:
+    """Zarr leaves chunks of zeros out, unless it is told for the array itself."""
+    book = writer(tmp_path / "set.zarr")
+    zeros = Block(**{name: np.zeros_like(getattr(whole(), name)) for name in POSE_ARRAYS})
+    ended = threading.Event()
+    late: Any = Held(part(zeros, book.span(1)), ended)
+    early: Any = Held(part(zeros, book.span(0)), late.asked)
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(book.write, 0, early)
+        assert early.asked.wait(60)
+        second = pool.submit(book.write, 1, late)
+        first.result()
+        ended.set()
+        second.result()
+    book.write(2, part(zeros, book.span(2)))
+    assert len(Dataset.open(book.finish())) == POSES
 
 
 def test_an_equal_writer_goes_on(tmp_path: Path) -> None:
