@@ -45,7 +45,7 @@ class AllFrequencyOptions:
     light_turn: float = 0.0  # turn the light about the vertical by so many degrees
     keep: int | None = None  # so many wavelets of the light, of 6 n²; all when not given
     keep_by: Literal["magnitude", "area"] = "magnitude"  # the largest, or by what they cover
-    ground: bool = True  # show what stands beside the object, too
+    alone: bool = False  # show the object without what stands beside it
     size: tuple[int, int] = (640, 640)  # of the picture, in pixels
     azimuth: float = 30.0  # of the camera: degrees to the left of the object from in front
     elevation: float = 12.0  # of the camera: degrees above the horizon
@@ -138,4 +138,4 @@ def kept(options: AllFrequencyOptions, coefficients: FloatArray, size: int) -> F
 def shown(options: AllFrequencyOptions) -> tuple[AllFrequencyField, ...]:
     """The fields of the file, or the object alone."""
     fields = load_fields(options.field)
-    return fields if options.ground else fields[:1]
+    return fields[:1] if options.alone else fields

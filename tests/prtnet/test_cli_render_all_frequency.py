@@ -52,7 +52,7 @@ def test_opengl_draws_what_numpy_draws(files, tmp_path):
 
 def test_what_stands_beside_the_object_can_be_left_out(files, tmp_path):
     both = rendered(files, tmp_path / "a.png", "on ground", "--renderer", "cpu")
-    alone = rendered(files, tmp_path / "b.png", "on ground", "--renderer", "cpu", "--no-ground")
+    alone = rendered(files, tmp_path / "b.png", "on ground", "--renderer", "cpu", "--alone")
     assert both["beside_1"]["points"] == 36
     assert "beside_1" not in alone
     assert (tmp_path / "a.png").read_bytes() != (tmp_path / "b.png").read_bytes()
