@@ -22,13 +22,13 @@ from tables import publish
 
 from prtnet.all_frequency import SEGMENTS, AllFrequencyField, Segment
 from prtnet.all_frequency_file import load_fields, reached
-from prtnet.arrays import FloatArray
 from prtnet.cores import core_count
 from prtnet.cube_map import segment_coefficients
 from prtnet.environment import about_up, environment
 from prtnet.sparse_columns import encode
 from prtnet.tangents import any_tangent
 from prtnet.transfer import Surface
+from prtnet.truncation import truncated
 from prtnet.turning_light import TurningLight
 from runtime.all_frequency_shot import framing
 from runtime.all_frequency_stage import AllFrequencyStage
@@ -86,14 +86,6 @@ def made_up(finest: float) -> AllFrequencyField:
     return AllFrequencyField(surface, tuple(segments), view, 32)
 
 
-def truncated(coefficients: FloatArray, share: float) -> FloatArray:
-    """The light without its smallest coefficients."""
-    if share == 1.0:
-        return coefficients
-    size = np.abs(coefficients).max(axis=-1)
-    return coefficients * (size > np.quantile(size, 1.0 - share))[..., None]
-
-
 def measured(field: AllFrequencyField, label: str, context: moderngl.Context) -> list[list[str]]:
     """Rows of the table, one for each share of the light's coefficients."""
     light = TurningLight(environment("studio"), field.size)
@@ -121,7 +113,7 @@ def measured(field: AllFrequencyField, label: str, context: moderngl.Context) ->
     full = f"{label}, {100 * numbers / whole:.0f} % not zero"
     rows = []
     for share in KEPT:
-        some = truncated(segment_coefficients(texels), share)
+        some = truncated(segment_coefficients(texels), round(share * 6 * field.size**2))
         products = milliseconds(lambda: stage.products(some), context)  # noqa: B023
         lit = milliseconds(lambda: stage.light(some), context)  # noqa: B023
         sums = max(0.0, lit - products)

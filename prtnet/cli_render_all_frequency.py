@@ -19,19 +19,20 @@ from prtnet.cube_map import segment_coefficients
 from prtnet.environment import about_up, environment
 from prtnet.errors import PrtnetError
 from prtnet.limits import MOST_PIXELS, MOST_THREADS, check_side, check_within
+from prtnet.truncation import area_weights, truncated
 from prtnet.turning_light import TurningLight
 
 if TYPE_CHECKING:
     from prtnet.all_frequency import AllFrequencyField
+    from prtnet.arrays import FloatArray
     from prtnet.console import Console
 
 __all__ = ["AllFrequencyOptions", "make_all_frequency_pictures"]
 
 SAMPLES = 4  # a pixel
-LEAST = {"light_turn": -1e6, "azimuth": -1e6, "elevation": -89, "zoom": 0.1, "exposure": -20,
-         "spin": 1, "fps": 1, "threads": 1}  # fmt: skip
-MOST = {"light_turn": 1e6, "azimuth": 1e6, "elevation": 89, "zoom": 100, "exposure": 20,
-        "spin": 999, "fps": 240, "threads": MOST_THREADS}  # fmt: skip
+BOUNDS = {"keep": (1, 1e6), "light_turn": (-1e6, 1e6), "azimuth": (-1e6, 1e6),
+          "elevation": (-89, 89), "zoom": (0.1, 100), "exposure": (-20, 20), "spin": (1, 999),
+          "fps": (1, 240), "threads": (1, MOST_THREADS)}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,9 @@ class AllFrequencyOptions:
     out: Path  # picture to write, .png, or with --spin a movie, .mp4
     light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
     light_turn: float = 0.0  # turn the light about the vertical by so many degrees
-    ground: bool = True  # show what stands beside the object, too
+    keep: int | None = None  # so many wavelets of the light, of 6 n²; all when not given
+    keep_by: Literal["magnitude", "area"] = "magnitude"  # the largest, or by what they cover
+    alone: bool = False  # show the object without what stands beside it
     size: tuple[int, int] = (640, 640)  # of the picture, in pixels
     azimuth: float = 30.0  # of the camera: degrees to the left of the object from in front
     elevation: float = 12.0  # of the camera: degrees above the horizon
@@ -56,13 +59,14 @@ class AllFrequencyOptions:
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        for option, least in LEAST.items():
-            name = f"--{option.replace('_', '-')}"
-            check_within(name, getattr(self, option), least, MOST[option])
+        for option, bounds in BOUNDS.items():
+            check_within(f"--{option.replace('_', '-')}", getattr(self, option), *bounds)
         check_side("--size", self.size, MOST_PIXELS)
         if self.out.suffix.lower() not in (".png", ".mp4"):
             what = "is no name of a PNG picture or of a movie; end it in .png or .mp4"
             raise PrtnetError(self.out, what)
+        if self.keep is None and self.keep_by != "magnitude":
+            raise PrtnetError("--keep", "is missing: say how many wavelets of the light are kept")
         if self.spin is None and (self.moving or self.spins == "light"):
             raise PrtnetError("--spin", "is missing: say how many pictures go all around")
 
@@ -112,7 +116,8 @@ def make_all_frequency_pictures(
             report("pictures", number, len(frames))
             if number == 0 or turns:
                 turn = options.light_turn + (math.degrees(frame.turn) if turns else 0.0)
-                drawer.light(segment_coefficients(light.at(about_up(turn))))
+                shining = segment_coefficients(light.at(about_up(turn)))
+                drawer.light(kept(options, shining, fields[0].size))
             seen = camera if turns else camera.around(frame.turn)
             fine = drawer.draw(seen.matrix(aspect), np.asarray(seen.eye))
             linear = averaged(fine, options.size)
@@ -122,7 +127,15 @@ def make_all_frequency_pictures(
     return {"out": out, **facts(fields), "size": options.size, "pictures": len(frames)}
 
 
+def kept(options: AllFrequencyOptions, coefficients: FloatArray, size: int) -> FloatArray:
+    """The light, or its most important wavelets alone."""
+    if options.keep is None:
+        return coefficients
+    weights = area_weights(size) if options.keep_by == "area" else None
+    return truncated(coefficients, options.keep, weights)
+
+
 def shown(options: AllFrequencyOptions) -> tuple[AllFrequencyField, ...]:
     """The fields of the file, or the object alone."""
     fields = load_fields(options.field)
-    return fields if options.ground else fields[:1]
+    return fields[:1] if options.alone else fields

@@ -20,6 +20,7 @@ from prtnet.arrays import FloatArray
 from prtnet.cube_map import cube_map, directions, segment_coefficients
 from prtnet.environment import Environment, about_up
 from prtnet.sh import evaluate
+from prtnet.truncation import truncated
 from prtnet.turning_light import TurningLight
 from runtime.all_frequency_shot import framing
 from runtime.all_frequency_stage import AllFrequencyStage
@@ -31,7 +32,7 @@ from runtime.sight import Sight
 
 __all__ = ["LOW_ORDER", "MODES", "AllFrequencySight", "AllFrequencyView"]
 
-Mode = Literal["all", "low"]
+Mode = Literal["all", "some", "low"]
 MODES: tuple[Mode, ...] = get_args(Mode)
 LOW_ORDER = 5  # bands of the light that is low in frequency, as in figures 1 and 7 of the paper
 
@@ -41,13 +42,15 @@ class AllFrequencyView(Outlook):
     """What is looked at, and how.
 
     Attributes:
-        left: 'all' of the light, or what is 'low' in frequency of it.
+        left: 'all' of the light, 'some' of its wavelets, or what is 'low' in frequency of it.
+        keep: how many wavelets 'some' are, the largest.
         turning: degrees that the light turns in a second, while time goes on.
         ground: whether what stands beside the object is shown.
     """
 
     left: str = "all"
     right: str = "low"
+    keep: int = 400
     turning: float = 30.0
     ground: bool = True
 
@@ -109,11 +112,14 @@ class AllFrequencySight(Sight[AllFrequencyView]):
         """All in one light."""
         shown = self.stages if view.ground else self.stages[:1]
         light = self._turning.get(view.light, lambda: self._spread(view.light))
-        key = mode, view.light, view.light_turn, light is not None
+        kept = view.keep if mode == "some" else None
+        key = mode, kept, view.light, view.light_turn, light is not None
         old = [k for k in range(len(shown)) if self._lit.get(k) != key]
         if old:
             started = clock.perf_counter()
             coefficients = segment_coefficients(self._texels(mode, view, light))
+            if kept is not None:
+                coefficients = truncated(coefficients, kept)
             self.count(light=1e3 * (clock.perf_counter() - started))
             for k in old:
                 shown[k].light(coefficients)

@@ -36,6 +36,12 @@ class AllFrequencyPanel(BasePanel):
         """What is shown, and beside the object."""
         super().look()
         viewer = self.viewer
+        if "some" in viewer.view.modes:
+            most = 6 * viewer.show.fields[0].size ** 2
+            always = self.imgui.SliderFlags_.always_clamp
+            _, viewer.view.keep = self.imgui.slider_int(
+                "wavelets", viewer.view.keep, 1, most, "%d", always
+            )
         if len(viewer.show.fields) > 1:
             _, viewer.view.ground = self.imgui.checkbox("ground", viewer.view.ground)
 
@@ -55,7 +61,7 @@ class AllFrequencyViewer(BaseViewer[AllFrequencySight, AllFrequencyView, AllFreq
         *CAMERA_KEYS,
         ("Space", "let the light turn, or stand"),
         ("Left, Right", "turn it a little"),
-        ("1, 2", "all of the light, or what is low in frequency of it"),
+        ("1 to 3", "all of the light, some of its wavelets, or what is low in frequency of it"),
         ("drop", "fields, lights"),
         *COMMON_KEYS,
     )

@@ -52,7 +52,7 @@ def test_opengl_draws_what_numpy_draws(files, tmp_path):
 
 def test_what_stands_beside_the_object_can_be_left_out(files, tmp_path):
     both = rendered(files, tmp_path / "a.png", "on ground", "--renderer", "cpu")
-    alone = rendered(files, tmp_path / "b.png", "on ground", "--renderer", "cpu", "--no-ground")
+    alone = rendered(files, tmp_path / "b.png", "on ground", "--renderer", "cpu", "--alone")
     assert both["beside_1"]["points"] == 36
     assert "beside_1" not in alone
     assert (tmp_path / "a.png").read_bytes() != (tmp_path / "b.png").read_bytes()
@@ -74,6 +74,20 @@ def test_all_around(files, tmp_path, spins, monkeypatch):
     assert (second == turned) == (spins == "light")
 
 
+def test_a_truncated_light(files, tmp_path):
+    """All 384 wavelets are the whole light; of a few, which they are says the order."""
+    pictures = {}
+    for name, argv in {
+        "whole": [], "all": ["--keep", "384"], "few": ["--keep", "40"],
+        "by area": ["--keep", "40", "--keep-by", "area"],
+    }.items():  # fmt: skip
+        out = tmp_path / f"{name}.png"
+        rendered(files, out, "ball", "--renderer", "cpu", "--light", "sunset", *argv)
+        pictures[name] = out.read_bytes()
+    assert pictures["whole"] == pictures["all"]
+    assert len(set(pictures.values())) == 3
+
+
 def test_a_movie(files, tmp_path):
     av = pytest.importorskip("av")
     argv = ["--spin", "3", "--spins", "light", "--renderer", "cpu"]
@@ -90,6 +104,8 @@ def test_a_movie(files, tmp_path):
         (["--spins", "light"], "--spin: is missing"),
         (["--spin", "1000"], "--spin: is 1000; it must be from 1 to 999"),
         (["--zoom", "0"], "--zoom: is 0"),
+        (["--keep", "0"], "--keep: is 0"),
+        (["--keep-by", "area"], "--keep: is missing"),
         (["--light", "moonshine"], "is neither a file nor a preset"),
         (["--size", "9000x10"], "--size: is too large"),
     ],

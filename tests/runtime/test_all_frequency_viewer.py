@@ -88,7 +88,7 @@ def test_only_what_has_changed_is_made_anew(viewer):
 def test_light_low_in_frequency_stands_beside_all_of_it(viewer):
     viewer.change("light", "sun")
     whole = viewer.pixels()
-    press(viewer, "_2")
+    press(viewer, "_3")
     assert viewer.view.left == "low"
     low = viewer.pixels()
     assert np.abs(whole.astype(int) - low).max() > 10
@@ -98,6 +98,17 @@ def test_light_low_in_frequency_stands_beside_all_of_it(viewer):
     half = SIZE[0] // 2
     np.testing.assert_array_equal(both[:, :half], whole[:, :half])
     np.testing.assert_array_equal(both[:, half:], low[:, half:])
+
+
+def test_some_wavelets_of_the_light(viewer):
+    whole = viewer.pixels()
+    press(viewer, "_2")
+    view = viewer.view
+    view.keep = 384
+    np.testing.assert_array_equal(viewer.pixels(), whole)
+    view.keep = 3
+    assert np.abs(viewer.pixels().astype(int) - whole).max() > 10
+    viewer.step(0.0)  # with its slider
 
 
 def test_the_light_turns_while_time_goes_on(viewer):
