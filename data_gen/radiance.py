@@ -8,21 +8,24 @@ narrow highlights are found. Every receiver has random numbers of its own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from data_gen.cube_visibility import inwards, joined
 from data_gen.directions import Aimed, Light, Places, Plan, Sampling, plan
 from data_gen.rays import border_operator, departure
 from data_gen.visibility import Tracer
 from prtnet.arrays import FloatArray
 from prtnet.brdf import BRDF
 from prtnet.environment import Environment
-from prtnet.frames import FrameField
+from prtnet.frames import FrameField, orthonormal_frames
 from prtnet.reflection import local_view
 from prtnet.scene import Receivers, Scene
+from prtnet.transfer import Surface
 
-__all__ = ["trace_radiance"]
+__all__ = ["trace_radiance", "trace_surface"]
 
 BATCH = 1 << 15  # rays at a time: each needs some tens of numbers
 
@@ -65,15 +68,67 @@ def trace_radiance(
     inward = border_operator(scene.faces, receivers)
     origins = tracer.origins(points, departure(normals, inward @ mesh.positions[0]))
     places = Places(frames, local_view(points, eye, frames))
+    return traced(tracer, origins, places, light, brdf, rays, threads, sampling, seed)
+
+
+def trace_surface(
+    surface: Surface,
+    casters: Sequence[Surface],
+    eye: FloatArray,
+    light: Light,
+    brdf: BRDF,
+    rays: int = 1024,
+    threads: int = 1,
+    sampling: Sampling = "mixed",
+    seed: int = 0,
+) -> FloatArray:
+    """As :func:`trace_radiance`, of the vertices of a still surface among others, (P, 3) float32.
+
+    Args:
+        surface: the vertices, in the frames that it gives them.
+        casters: what hides light: the surface itself as a rule, and what else is there.
+        eye: where the camera is, (3,) world space.
+        light: as there.
+        brdf: of the surface, in its frames.
+        rays: of every vertex.
+        threads: that trace.
+        sampling: where rays go.
+        seed: of the random numbers.
+
+    Raises:
+        ValueError: no caster has a triangle.
+    """
+    tracer = Tracer(*joined(casters))
+    frames = orthonormal_frames(surface.tangents, surface.normals)
+    away = frames[..., 2]
+    if any(one is surface for one in casters):
+        away = departure(away, inwards(surface))
+    origins = tracer.origins(surface.positions, away)
+    places = Places(frames, local_view(surface.positions, eye, frames))
+    return traced(tracer, origins, places, light, brdf, rays, threads, sampling, seed)
+
+
+def traced(
+    tracer: Tracer,
+    origins: FloatArray,
+    places: Places,
+    light: Light,
+    brdf: BRDF,
+    rays: int,
+    threads: int,
+    sampling: Sampling,
+    seed: int,
+) -> FloatArray:
+    """Radiance (N, 3) float32 of places whose rays start at origins (N, 3) of the tracer."""
     ways = plan(light, brdf, rays, sampling)
-    shifts = np.random.default_rng(seed).random((len(points), len(ways.ways), 2))
+    shifts = np.random.default_rng(seed).random((len(origins), len(ways.ways), 2))
 
     def reflected(part: slice) -> FloatArray:
         given = ways, places.at(part), shifts[part], origins[part]
         return estimate(*given, tracer, light, brdf)
 
     size = max(1, BATCH // ways.rays)
-    parts = [slice(start, start + size) for start in range(0, len(points), size)]
+    parts = [slice(start, start + size) for start in range(0, len(origins), size)]
     with ThreadPoolExecutor(threads) as pool:
         return np.concatenate(list(pool.map(reflected, parts))).astype(np.float32)
 

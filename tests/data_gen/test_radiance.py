@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data_gen.procedural import arm
-from data_gen.radiance import trace_radiance
+from data_gen.radiance import trace_radiance, trace_surface
 from data_gen.visibility import trace_pose
 from prtnet.brdf import BRDF, GGX, Lambert, Phong, Schlick, albedo
 from prtnet.environment import Environment, environment
@@ -15,6 +15,7 @@ from prtnet.frames import FrameField, rest_tangents
 from prtnet.operators import cosine_matrix
 from prtnet.presets import Disc, Preset
 from prtnet.scene import Scene, SkinnedScene
+from prtnet.transfer import Surface
 from tests.data_gen.meshes import cache, quad, together
 
 EYE = np.array([0.4, 3.0, 0.9])
@@ -196,3 +197,19 @@ def test_a_sun_is_found(scene: SkinnedScene):
     ]
     assert errors[1] < 0.03
     assert errors[0] > 5.0 * errors[1]
+
+
+def test_a_still_surface_is_traced_as_the_scene_at_rest(scene: SkinnedScene):
+    pose = scene.rest_pose()
+    receivers, field = fielded(scene)
+    posed = receivers.gather(scene.geometry(pose))
+    tangents = np.ascontiguousarray(field.frames(pose)[0, :, :, 0])
+    faces = receivers.of_vertex[scene.faces]
+    surface = Surface(posed.positions[0], posed.normals[0], tangents, faces)
+    given = EYE, environment("sun"), GGX(roughness=0.4), 64
+    alone = trace_surface(surface, [surface], *given)
+    assert alone == pytest.approx(trace_radiance(scene, receivers, field, pose, *given), abs=1e-3)
+    corners = np.array([[-2, 0.5, -2], [-2, 0.5, 2], [2, 0.5, 2], [2, 0.5, -2]], dtype=np.float32)
+    up, along = (np.tile(np.float32(one), (4, 1)) for one in ((0, 1, 0), (1, 0, 0)))
+    lid = Surface(corners, up, along, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))
+    assert trace_surface(surface, [surface, lid], *given).sum() < 0.8 * alone.sum()
