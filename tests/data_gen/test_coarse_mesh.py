@@ -21,7 +21,7 @@ def test_so_many_vertices_on_the_same_surface(count: int, scale: float) -> None:
     place = found.positions / scale
     ring = np.hypot(place[:, 0], place[:, 1]) - 1.0
     away = np.abs(np.hypot(ring, place[:, 2]) - 0.4)
-    assert away.max() < 0.02
+    assert np.sqrt(np.mean(away**2)) < 0.003  # 0.004 where vertices are not set back on it
     # Closed, of the same genus, and normals outwards.
     mesh = trimesh.Trimesh(found.positions, found.faces, process=False)
     assert mesh.is_watertight
