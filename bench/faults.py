@@ -315,6 +315,7 @@ def main() -> None:
                     clear(bench.work)
             injected = sum(kinds.values())
             rows.append([f"`prtnet {job.name}`", *kinds.values(), injected - failures, failures])
+            print(*rows[-1])
     columns = ["command", *kinds, "survived", "lost"]
     publish("faults", columns, rows, f"Seed {seed}.", PAGE)
     sys.exit(1 if lost else 0)
