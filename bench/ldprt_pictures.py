@@ -2,13 +2,15 @@
 
 python bench/ldprt_pictures.py [--quick] [NAME ...]
 
-The names are patterns, mesh and character; all when none is given.
+The names are fits, glossy, patterns, mesh and character, for the figures 3, 4, 5 and 7, 6, and 1 of
+"LDPRT"; all when none is given.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -18,18 +20,24 @@ from PIL import Image, ImageDraw
 from tables import ROOT, scene_path
 
 from data_gen.bake import BakeConfig, bake_mesh, bake_patch, bake_wrinkle
+from data_gen.coarse_mesh import coarser
 from data_gen.procedural import mannequin
 from data_gen.reliefs import PATTERNS, relief
 from data_gen.static_mesh import StaticMesh, clean_mesh, read_mesh
 from prtnet.arrays import FloatArray
+from prtnet.brdf import CookTorrance
 from prtnet.canvas import Canvas, boxed, plane, vase
 from prtnet.cores import core_count
 from prtnet.environment import environment
-from prtnet.lobe_field import LobeField
+from prtnet.glossy import brdf_rows
+from prtnet.lobe_field import LobeField, halved
 from prtnet.lobe_fit import lobe_field
 from prtnet.membrane import membrane_field
+from prtnet.sh import evaluate
 from prtnet.transfer import TransferField
 from prtnet.wrinkle import Wrinkle
+from prtnet.zh import Lobes, apart, best_coefficients
+from prtnet.zh_fit import linear_axes
 from runtime.camera import Camera
 from runtime.field_shot import FieldShot
 from runtime.picture import INK, PAPER, auto_exposure, develop, font
@@ -88,6 +96,11 @@ def error_of(lobes: LobeField) -> str:
     return f"{100.0 * lobes.metadata['fit']['error']:.1f} %"
 
 
+def lobe_words(count: int) -> str:
+    """How many lobes, in words."""
+    return f"{count} lobe{'s' * (count > 1)}"
+
+
 def patterns(quick: bool) -> Image.Image:
     """Few lobes, more, and full harmonics, on a twisted vase."""
     rows, names = [], []
@@ -101,14 +114,13 @@ def patterns(quick: bool) -> Image.Image:
         rows.append([develop(picture, exposure) for picture in (*pictures, truth)])
         names.append(f"{name}\n" + "\n".join(error_of(lobes) for lobes in fitted))
         print(name, [error_of(lobes) for lobes in fitted], flush=True)
-    words = [f"{count} lobe{'s' * (count > 1)}" for count in COUNTS]
-    return sheet(rows, [*words, "full harmonics, turned"], names)
+    return sheet(rows, [*map(lobe_words, COUNTS), "full harmonics, turned"], names)
 
 
 def mesh(quick: bool) -> Image.Image:
     """A mesh that is twisted: traced again, transfer as it was, and lobes that turned."""
     whole = read_mesh(scene_path("bunny.ply"))
-    found = thinned(whole, 60 if quick else 110)
+    found = coarser(whole, 2_000 if quick else 8_000)
     rays = 64 if quick else 512
     field = bake_mesh(found, config(rays))
     rest = Canvas(found.positions, found.tangents, found.normals, found.faces)
@@ -130,17 +142,52 @@ def mesh(quick: bool) -> Image.Image:
     return sheet([[develop(picture, exposure) for picture in pictures]], words, ["twisted"])
 
 
-def thinned(found: StaticMesh, cells: int) -> StaticMesh:
-    """A mesh whose vertices are the middles of those in each cell of a grid."""
-    low, span = found.positions.min(axis=0), float(np.ptp(found.positions, axis=0).max())
-    cell = np.floor((found.positions - low) * (cells / span)).astype(np.int64)
-    _, of = np.unique(cell, axis=0, return_inverse=True)
-    of = of.ravel()
-    count = np.bincount(of)
-    places = np.stack([np.bincount(of, one) / count for one in found.positions.T], axis=-1)
-    faces = of[found.faces]
-    sides = [faces[:, a] != faces[:, b] for a, b in ((0, 1), (1, 2), (2, 0))]
-    return clean_mesh("bunny", places, faces[np.logical_and.reduce(sides)])
+def fits(quick: bool) -> Image.Image:
+    """A mesh by its optimal linear lobes, by one lobe and more, and by full harmonics."""
+    found = coarser(read_mesh(scene_path("bunny.ply")), 2_000 if quick else 8_000)
+    field = bake_mesh(found, config(64 if quick else 512))
+    canvas = Canvas(found.positions, found.tangents, found.normals, found.faces)
+    target = field.transfer.astype(np.float64)
+    axes = linear_axes(target[:, 0])[:, None, None]
+    about = Lobes(axes, best_coefficients(evaluate(axes, ORDER), target))
+    linear = halved("bunny", apart(target, about))
+    missed = np.linalg.norm(linear.harmonics() - target) / np.linalg.norm(target)
+    fitted = [lobe_field(field, count) for count in COUNTS]
+    facts = {"fit": {"error": float(missed)}}
+    parts = linear.low, linear.lobes.axes, linear.lobes.coefficients
+    shown = [LobeField(*parts, field.layout, metadata=facts), *fitted]
+    one = shot(canvas)
+    truth = one.draw(field)
+    exposure = auto_exposure(truth)
+    pictures = [develop(picture, exposure) for picture in (*map(one.draw, shown), truth)]
+    words = ["linear lobe", *map(lobe_words, COUNTS)]
+    across = [f"{name}: {error_of(lobes)}" for name, lobes in zip(words, shown, strict=True)]
+    print(across, flush=True)
+    return sheet([pictures], [*across, "full harmonics"], [""])
+
+
+def glossy(quick: bool) -> Image.Image:
+    """Glossy transfer by all rows of a BRDF, by three, and by lobes of the three."""
+    order, count, texels = 4, 3, 24 if quick else 64
+    rows = brdf_rows(CookTorrance(roughness=0.3), order**2, order)
+    settings = dataclasses.replace(config(64 if quick else 512), order=order, glossy=rows)
+    whole = bake_patch(0.01 * relief("bumps", (texels, texels)), (0.1, 0.1), (True, True), settings)
+    assert whole.view is not None
+    few = dataclasses.replace(whole, transfer=whole.transfer[:, :count], view=whole.view[:count])
+    lobes = lobe_field(few, 3)
+    canvas = vase(6).twisted(math.radians(60.0))
+    one = dataclasses.replace(shot(canvas), light=LIGHT.harmonics(order))
+    drawn = [one.draw(field) for field in (whole, few, lobes)]
+    exposure = auto_exposure(drawn[0])
+    inside = drawn[0][..., 3] > 0
+    size = np.sqrt(np.mean(np.square(drawn[0][inside, :3])))
+    missed = [
+        float(np.sqrt(np.mean(np.square((other - before)[inside, :3]))) / size)
+        for before, other in itertools.pairwise(drawn)
+    ]
+    across = ["16 rows", f"3 rows: {missed[0]:.1%}", f"3 lobes a row: {missed[1]:.1%} more"]
+    print(across, flush=True)
+    return sheet([[develop(picture, exposure) for picture in drawn]], across, [""])
 
 
 def character(quick: bool) -> Image.Image:
@@ -164,6 +211,8 @@ def character(quick: bool) -> Image.Image:
 
 
 MADE: dict[str, Callable[[bool], Image.Image]] = {
+    "fits": fits,
+    "glossy": glossy,
     "patterns": patterns,
     "mesh": mesh,
     "character": character,

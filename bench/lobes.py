@@ -3,8 +3,8 @@
 python bench/lobes.py [--write] [--quick] [--transfer FILE]
 
 The file holds transfer vectors (V, 36) under "transfer" (.npz or .safetensors). Without one the
-bunny is traced here: 17,500 of its vertices, the cosine inside, no
-light from the bunny itself.
+bunny is traced here, decimated to 17,500 vertices: the cosine inside, no light from the bunny
+itself.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import time
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from safetensors.numpy import load_file
 from scipy.optimize import minimize
 from tables import per_cent, publish, scene_path
 from threadpoolctl import threadpool_limits
 
-from data_gen.visibility import Tracer
+from data_gen.bake import BakeConfig, bake_mesh
+from data_gen.coarse_mesh import coarser
+from data_gen.static_mesh import read_mesh
 from prtnet import sh
 from prtnet.arrays import FloatArray
-from prtnet.axis_frames import any_tangent
-from prtnet.frames import orthonormal_frames
+from prtnet.cores import core_count
 from prtnet.zh import Lobes, best_coefficients, relative_error
 from prtnet.zh_fit import ITERATIONS, Search, fit_lobes
 
@@ -112,22 +112,10 @@ def random_table(count: int) -> None:
 
 
 def bunny_transfer(vertices: int) -> FloatArray:
-    """Diffuse transfer of the bunny without further bounces, in local frames, (V, 36)."""
-    mesh = trimesh.load(scene_path("bunny.ply"), process=False)
-    points, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
-    chosen = np.sort(np.random.default_rng(0).permutation(len(points))[:vertices])
-    frames = orthonormal_frames(any_tangent(normals[chosen]), normals[chosen])
-    tracer = Tracer(points, np.asarray(mesh.faces))
-    local = sh.fibonacci_hemisphere(RAYS)
-    weights = (2.0 / RAYS) * local[:, 2:] * sh.evaluate(local, ORDER)
-    result = np.empty((len(chosen), ORDER**2))
-    for start in range(0, len(chosen), 128):
-        part = slice(start, start + 128)
-        world = (local @ frames[part].transpose(0, 2, 1)).reshape(-1, 3).astype(np.float32)
-        origins = tracer.origins(points[chosen[part]], frames[part, :, 2])
-        hit = tracer.occluded(np.repeat(origins, RAYS, axis=0), world)
-        result[part] = (1.0 - hit.reshape(-1, RAYS)) @ weights
-    return result
+    """Diffuse transfer of the decimated bunny without further bounces, in local frames, (V, 36)."""
+    mesh = coarser(read_mesh(scene_path("bunny.ply")), vertices)
+    settings = BakeConfig(order=ORDER, rays=RAYS, bounces=0, albedo=1.0, threads=core_count())
+    return bake_mesh(mesh, settings).vectors
 
 
 def transfer_table(target: FloatArray, name: str) -> None:
@@ -164,7 +152,7 @@ def main() -> None:
     chosen = options.parse_args()
     random_table(100 if chosen.quick else 1000)
     if chosen.transfer is None:
-        name = "The bunny, diffuse, no bounces"
+        name = "The bunny, decimated, diffuse, no bounces"
         target = bunny_transfer(500 if chosen.quick else VERTICES)
     else:
         read = load_file if chosen.transfer.suffix == ".safetensors" else np.load
