@@ -26,7 +26,7 @@ from data_gen.reliefs import PATTERNS, relief
 from data_gen.static_mesh import StaticMesh, clean_mesh, read_mesh
 from prtnet.arrays import FloatArray
 from prtnet.brdf import CookTorrance
-from prtnet.canvas import Canvas, boxed, plane, vase
+from prtnet.canvas import Canvas, boxed, vase
 from prtnet.cores import core_count
 from prtnet.environment import environment
 from prtnet.glossy import brdf_rows
@@ -46,6 +46,7 @@ FIGURES = ROOT / "docs" / "figures"
 ORDER = 6
 COUNTS = (1, 2, 4)
 SIZE = (190, 230)
+GROOVE, SWING = 0.35, 0.12  # width of a groove around a vase of height 1, and how far it goes up
 LIGHT = environment("sun").turned(-30.0)
 
 
@@ -62,9 +63,30 @@ def fields(texels: int, rays: int) -> dict[str, TransferField]:
         made[name] = bake_patch(heights, (0.1, 0.1), (True, True), config(rays))
     share = 0.5 + 0.5 * np.cos(2.0 * math.pi * np.arange(32) / 32)
     made["membrane"] = membrane_field(np.outer(share, share), (0.1, 0.1), ORDER, 0.8)
-    size = min(texels, 32)
-    made["wrinkle"] = bake_wrinkle(Wrinkle(0.1, 0.1, size, size), config(rays))
+    made["wrinkle"] = bake_wrinkle(wrinkle_of(texels), config(rays))
     return made
+
+
+def wrinkle_of(texels: int) -> Wrinkle:
+    """Grooves up to as deep as they are wide."""
+    size = min(texels, 32)
+    return Wrinkle(0.1, 0.1, size, size)
+
+
+def grooved(family: Wrinkle) -> Canvas:
+    """A vase with a groove around it, up and down twice, deep in front and flat at the back."""
+    smooth = vase(1)
+    phi = np.arctan2(smooth.positions[:, 0], smooth.positions[:, 2])
+    scale = family.width / GROOVE  # metres of the groove over units of the vase
+    across = scale * (smooth.positions[:, 1] - SWING * np.sin(2.0 * phi)) + 0.5 * family.width
+    depth = family.deepest * np.cos(0.5 * phi) ** 2
+    # Across the groove is up, and against the way it climbs.
+    radius = np.hypot(smooth.positions[:, 0], smooth.positions[:, 2])
+    climb = 2.0 * SWING * np.cos(2.0 * phi) / radius
+    around = smooth.frames[..., 0]
+    upward = smooth.frames[..., 1]
+    places = family.coordinates(across, depth)
+    return dataclasses.replace(smooth, tangents=upward - climb[:, None] * around, places=places)
 
 
 def shot(canvas: Canvas, size: tuple[int, int] = SIZE) -> FieldShot:
@@ -104,8 +126,10 @@ def lobe_words(count: int) -> str:
 def patterns(quick: bool) -> Image.Image:
     """Few lobes, more, and full harmonics, on a twisted vase."""
     rows, names = [], []
-    for name, field in fields(24 if quick else 64, 64 if quick else 512).items():
-        canvas = (plane(1.0) if name == "wrinkle" else vase(6)).twisted(math.radians(60.0))
+    texels = 24 if quick else 64
+    for name, field in fields(texels, 64 if quick else 512).items():
+        canvas = grooved(wrinkle_of(texels)) if name == "wrinkle" else vase(6)
+        canvas = canvas.twisted(math.radians(60.0))
         one = shot(canvas)
         truth = one.draw(field)
         exposure = auto_exposure(truth)
