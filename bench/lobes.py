@@ -31,7 +31,7 @@ from prtnet.zh import Lobes, best_coefficients, relative_error
 from prtnet.zh_fit import ITERATIONS, Search, fit_lobes
 
 ORDER = 6
-PEER = 40  # functions that SciPy fits
+PEER = 160  # functions that SciPy fits: of fewer, one that ends elsewhere decides the mean
 VERTICES = 17_500
 RAYS = 1024
 STARTS, GOOD = 4, 0.02  # random starts of transfer, and the error that needs none
