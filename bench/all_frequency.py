@@ -9,11 +9,11 @@ The bunny, decimated to 11,500 vertices, in light of 6 × 32 × 32; --full takes
 from __future__ import annotations
 
 import argparse
+import contextlib
 import resource
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import torch
 from factors import BareCookTorrance
@@ -23,15 +23,22 @@ from data_gen.all_frequency import SAMPLES, transfer_segments
 from data_gen.coarse_mesh import coarser
 from data_gen.cube_visibility import CubeVisibility, cube_visibility
 from data_gen.static_mesh import read_mesh
-from prtnet.all_frequency import SEGMENTS, Segment
-from prtnet.all_frequency_factors import RowFactors, row_factors
-from prtnet.all_frequency_file import segment_sizes
+from prtnet.all_frequency import SEGMENTS, AllFrequencyField
+from prtnet.all_frequency_factors import row_factors
+from prtnet.all_frequency_file import reached, sizes
 from prtnet.arrays import FloatArray
-from prtnet.brdf import CookTorrance, Lambert
+from prtnet.brdf import BRDF, CookTorrance, Lambert
 from prtnet.cores import core_count
 from prtnet.cube_map import SIZE
 from prtnet.transfer import Surface
-from training.all_frequency import CompressConfig, Losses, clustered, stored
+from training.all_frequency import (
+    Clustered,
+    CompressConfig,
+    Losses,
+    clustered,
+    fitted,
+    sparse_wavelets,
+)
 
 VERTICES = 11_500  # the paper's
 PAPER = ("paper, Cook-Torrance", 11_500, "2.84", "56.0 %", 763, "4.43 %", "29.5 %", "1.31 %",
@@ -43,113 +50,91 @@ MATERIALS = {
     "matte": Lambert(),
 }
 MAIN = (16, 200)  # terms, vertices of a cluster
-ERRORS = (0.002, 0.001, 0.004, 0.008, 0.016)  # the first is the paper's
-CURVE = (MAIN, (16, 100), (16, 400), (8, 200), (24, 200), (32, 200))
+ERRORS = (0.001, 0.002, 0.004, 0.008, 0.016)  # the second is the paper's
+CURVE = (MAIN, (16, 100), (16, 50), (24, 100), (32, 200), (8, 200))
 
 
-@dataclass
-class Total:
-    """Of all segments, for one way to compress them."""
+class Encoder:
+    """Bakes one material, and clusters it in several ways.
 
-    bytes: Counter[str] = field(default_factory=Counter)
-    losses: Losses = field(default_factory=Losses)
-    clusters: int = 0
-    reached: int = 0
-    raw: int = 0
-    representatives: int = 0
+    Attributes:
+        seconds: by stage.
+    """
 
-    def add(self, raw: FloatArray, segment: Segment, losses: Losses) -> None:
-        """One more segment."""
-        self.bytes.update(segment_sizes(segment))
-        self.losses += losses
-        self.clusters += segment.clusters
-        self.reached += len(segment.vertices)
-        self.raw += raw.nbytes
-        self.representatives += 4 * segment.scale.size * segment.representatives.shape[1]
+    def __init__(self, surface: Surface, seen: CubeVisibility, brdf: BRDF, threads: int) -> None:
+        self.surface, self.seen, self.threads = surface, seen, threads
+        self.rows = row_factors(brdf)
+        self.seconds: Counter[str] = Counter()
 
-    def share(self, *names: str) -> float:
-        """Of the raw bytes; of all that is stored without names."""
-        names = names or ("representatives", "weights", "clusters", "view")
-        return sum(self.bytes[name] for name in names) / self.raw
-
-    def error(self, stage: str = "stored") -> float:
-        """Squared error."""
-        return self.losses.errors()[stage]
-
-
-Ways = dict[tuple[int, int, float], Total]
-
-
-def timed(segments: Iterator[FloatArray], seconds: Counter[str]) -> Iterator[FloatArray]:
-    """The same segments, and how long they took to make."""
-    while True:
+    @contextlib.contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Counts the seconds of a block."""
         started = time.perf_counter()
-        raw = next(segments, None)
-        seconds["transfer"] += time.perf_counter() - started
-        if raw is None:
-            return
-        yield raw
+        yield
+        self.seconds[name] += time.perf_counter() - started
+
+    def segments(self) -> Iterator[FloatArray]:
+        """Raw transfer, timed."""
+        made = transfer_segments(self.surface, self.seen, self.rows, self.threads)
+        for _ in range(SEGMENTS):
+            with self.stage("transfer, twice"):
+                raw = next(made)
+            yield raw
+
+    def clusters(self, way: tuple[int, int]) -> list[Clustered]:
+        """Of all segments."""
+        found = []
+        for raw in self.segments():
+            with self.stage("clusters"):
+                found.append(clustered(raw, CompressConfig(*way)))
+            print(f"\r{way}, segment {len(found)}", end="", flush=True)
+        print()
+        return found
+
+    def field(self, found: list[Clustered], error: float) -> tuple[AllFrequencyField, Losses]:
+        """What is stored of them."""
+        with self.stage("wavelets"):
+            kept, left = sparse_wavelets(found, error)
+        parts, whole = [], Losses()
+        for raw, one, own, gone in zip(self.segments(), found, kept, left, strict=True):
+            with self.stage("weights"):
+                segment, missed = fitted(raw, one, own)
+            parts.append(segment)
+            whole += Losses(one.energy, one.lost, one.lost + gone, missed)
+        return AllFrequencyField(self.surface, tuple(parts), self.rows.view, SIZE), whole
 
 
-def encoded(
-    surface: Surface,
-    seen: CubeVisibility,
-    rows: RowFactors,
-    ways: tuple[tuple[int, int], ...],
-    errors: tuple[float, ...],
-    threads: int,
-    seconds: Counter[str],
-) -> Ways:
-    """Every way to compress one pass over the segments."""
-    found = {(*way, error): Total() for way in ways for error in errors}
-    segments = transfer_segments(surface, seen, rows, threads)
-    for number, raw in enumerate(timed(segments, seconds), 1):
-        for way in ways:
-            config = CompressConfig(*way)
-            started = time.perf_counter()
-            clusters = clustered(raw, config)
-            seconds["clusters"] += time.perf_counter() - started
-            for error in errors:
-                started = time.perf_counter()
-                found[*way, error].add(raw, *stored(raw, clusters, error))
-                seconds["wavelets, weights"] += time.perf_counter() - started
-        print(f"\rsegment {number}", end="", flush=True)
-        del raw
-    print()
-    for one in found.values():
-        one.bytes["view"] = rows.view.nbytes
-    return found
-
-
-def row_of(name: str, count: int, one: Total) -> list[object]:
+def row_of(name: str, field: AllFrequencyField, losses: Losses) -> list[object]:
     """As the paper's table: representatives of raw, what wavelets leave of them, both."""
-    clusters = one.representatives / one.raw
-    kept = one.share("representatives")
-    pairs = SEGMENTS * count
+    size = sizes(field)
+    weights = 2 * size["weights"]  # as float32
+    clusters = (size["clustered"] - weights) / size["raw"]
+    kept = size["representatives"] / size["raw"]
     return [
-        name, f"{count:,}", f"{one.raw / 1e9:.2f}", f"{100 * one.reached / pairs:.1f} %",
-        one.clusters, per_cent(clusters), f"{100 * kept / clusters:.1f} %", per_cent(kept),
-        per_cent(one.share()), per_cent(one.error()),
+        name, f"{len(field):,}", f"{size['raw'] / 1e9:.2f}", f"{100 * reached(field):.1f} %",
+        sum(one.clusters for one in field.segments), per_cent(clusters),
+        f"{100 * kept / clusters:.1f} %", per_cent(kept), per_cent(size["total"] / size["raw"]),
+        per_cent(losses.errors()["stored"]),
     ]  # fmt: skip
 
 
-def stage_rows(one: Total) -> list[list[object]]:
+def stage_rows(field: AllFrequencyField, losses: Losses) -> list[list[object]]:
     """What every stage leaves of the raw bytes, and its error."""
-    weights = one.bytes["weights"]
+    size = sizes(field)
+    errors = {name: f"{100 * error:.3f} %" for name, error in losses.errors().items()}
+
+    def row(name: str, number: int, error: str = "") -> list[object]:
+        return [name, f"{number / 1e6:,.1f}", per_cent(number / size["raw"]), error]
+
     return [
-        ["raw", f"{one.raw / 1e6:,.1f}", "100 %", "0"],
-        ["representatives and weights, float32", f"{one.bytes['clustered'] / 1e6:.1f}",
-         per_cent(one.share("clustered")), f"{100 * one.error('clustered'):.3f} %"],
-        ["… small numbers left out", "", "", f"{100 * one.error('thresholded'):.3f} %"],
-        ["representatives, sparse, 16 bits", f"{one.bytes['representatives'] / 1e6:.1f}",
-         per_cent(one.share("representatives")), ""],
-        ["weights, 16 bits, fitted anew", f"{weights / 1e6:.1f}", per_cent(one.share("weights")),
-         f"{100 * one.error():.3f} %"],
-        ["lists, scales, view factors", f"{(one.bytes['clusters'] + one.bytes['view']) / 1e6:.1f}",
-         per_cent(one.share("clusters", "view")), ""],
-        ["in all", f"{one.share() * one.raw / 1e6:.1f}", per_cent(one.share()),
-         f"{100 * one.error():.3f} %"],
-    ]  # fmt: skip
+        row("raw", size["raw"], "0"),
+        row("representatives and weights, float32", size["clustered"], errors["clustered"]),
+        ["small numbers left out", "", "", errors["thresholded"]],
+        row("representatives, sparse, 16 bits", size["representatives"]),
+        row("weights, 16 bits, fitted anew", size["weights"], errors["stored"]),
+        row("lists, scales, view factors", size["clusters"] + size["view"]),
+        row("in all", size["total"], errors["stored"]),
+    ]
 
 
 def main() -> None:
@@ -171,19 +156,21 @@ def main() -> None:
     started = time.perf_counter()
     seen = cube_visibility(surface, [surface], SAMPLES * SIZE, chosen.threads)
     seconds["visibility"] = time.perf_counter() - started
-    rows, first, peak = [PAPER], None, 0.0
-    for name, brdf in list(MATERIALS.items())[: 1 if chosen.quick else None]:
-        factors = row_factors(brdf)
-        own = seconds if first is None else Counter()
-        found = encoded(surface, seen, factors, (MAIN,), ERRORS[:1], chosen.threads, own)
-        total = found[*MAIN, ERRORS[0]]
-        rows.append(row_of(f"{name}, m = {factors.rows}", len(surface), total))
-        print(rows[-1], factors.facts(), own, flush=True)
-        if first is None:
-            first = total
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    assert first is not None
     told = f"{len(surface):,} vertices, about {MAIN[1]} a cluster of {MAIN[0]} representatives"
+    rows = [PAPER]
+    for name, brdf in list(MATERIALS.items())[: 1 if chosen.quick else None]:
+        encoder = Encoder(surface, seen, brdf, chosen.threads)
+        field, losses = encoder.field(encoder.clusters(MAIN), ERRORS[1])
+        rows.append(row_of(f"{name}, m = {field.rows}", field, losses))
+        print(rows[-1], encoder.rows.facts(), encoder.seconds, flush=True)
+        if len(rows) == 2:
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+            seconds |= encoder.seconds
+            publish("all frequency stages", ("", "MB", "of raw", "squared error"),
+                    stage_rows(field, losses), f"{name}; {told}.")  # fmt: skip
+            taken = [[stage, f"{number:.0f}"] for stage, number in seconds.items()]
+            publish("all frequency time", ("", "seconds"), [*taken, ["peak memory, GB", f"{peak:.2f}"]],
+                    f"{name}; {told}, {chosen.threads} threads.")  # fmt: skip
     publish(
         "all frequency bytes",
         ("", "vertices", "raw, GB", "ω", "clusters", "clustered", "wavelets", "both", "in all",
@@ -193,35 +180,31 @@ def main() -> None:
         " wavelets, 16 bits and sparse columns leave of them, both; then *in all*, with weights,"
         " lists and view factors.",
     )  # fmt: skip
-    publish("all frequency stages", ("", "MB", "of raw", "squared error"), stage_rows(first),
-            f"Cook-Torrance, bare; {told}.")  # fmt: skip
-    publish(
-        "all frequency time", ("", "seconds"),
-        [[name, f"{taken:.0f}"] for name, taken in seconds.items()]
-        + [["peak memory, GB", f"{peak:.2f}"]],
-        f"Cook-Torrance, bare; {told}, {chosen.threads} threads.",
-    )  # fmt: skip
     if not chosen.quick:
-        curve(surface, seen, chosen.threads)
+        curve(Encoder(surface, seen, next(iter(MATERIALS.values())), chosen.threads))
 
 
-def curve(surface: Surface, seen: CubeVisibility, threads: int) -> None:
+def curve(encoder: Encoder) -> None:
     """Error against bytes: several clusterings, and how much is left out."""
-    brdf = MATERIALS["Cook-Torrance, bare"]
-    found = encoded(surface, seen, row_factors(brdf), CURVE, tuple(sorted(ERRORS)), threads,
-                    Counter())  # fmt: skip
     rows = []
     for way in CURVE:
-        own = [found[*way, error] for error in sorted(ERRORS)]
-        pairs = [f"{per_cent(one.error())}, {per_cent(one.share())}" for one in own]
-        rows.append([f"{way[0]}, {way[1]}", per_cent(own[0].error("clustered")), *pairs])
+        found = encoder.clusters(way)
+        row: list[object] = [f"{way[0]}, {way[1]}"]
+        for error in ERRORS:
+            field, losses = encoder.field(found, error)
+            size, errors = sizes(field), losses.errors()
+            both = (size[name] / size["raw"] for name in ("representatives", "total"))
+            row += [per_cent(errors["clustered"])] if error == ERRORS[0] else []
+            row.append(", ".join(map(per_cent, (errors["stored"], *both))))
+        rows.append(row)
+        print(row, flush=True)
     publish(
         "all frequency curve",
         ("representatives, vertices", "clusters alone",
-         *(f"for {per_cent(error)}" for error in sorted(ERRORS))),
+         *(f"for {per_cent(error)}" for error in ERRORS)),
         rows,
-        "Squared error, and bytes of raw with everything in. Numbers are left out until the"
-        " error of the column is reached, where clusters leave room for it.",
+        "Squared error; representatives of the raw bytes; all of the raw bytes. Numbers are left"
+        " out until the error of the column is reached, where clusters leave room for it.",
     )  # fmt: skip
 
 

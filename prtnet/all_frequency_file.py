@@ -23,7 +23,6 @@ __all__ = [
     "load_fields",
     "reached",
     "save_fields",
-    "segment_sizes",
     "sizes",
 ]
 

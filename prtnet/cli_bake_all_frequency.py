@@ -7,7 +7,7 @@ clusters ``training``'s.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ from prtnet.provenance import made_with
 if TYPE_CHECKING:
     from prtnet.all_frequency import AllFrequencyField
     from prtnet.all_frequency_factors import RowFactors
+    from prtnet.arrays import FloatArray
     from prtnet.console import Report
     from prtnet.transfer import Surface
     from training.all_frequency import CompressConfig
@@ -139,7 +140,10 @@ def one(
     from training.all_frequency import compress
 
     seen = cube_visibility(surface, casters, SAMPLES * options.texels, threads, report)
-    segments = transfer_segments(surface, seen, rows, threads, report)
+
+    def segments() -> Iterator[FloatArray]:
+        return transfer_segments(surface, seen, rows, threads)
+
     facts = {**told, **rows.facts(), "made_with": made_with(*PACKAGES, threads=threads)}
     return compress(
         segments, surface, rows.view, options.texels, options.compression(), facts, report

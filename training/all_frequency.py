@@ -16,7 +16,7 @@ representatives as they are stored.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,10 +31,19 @@ from prtnet.sparse_columns import encode
 from prtnet.transfer import Surface
 from training.cpca import Components, CpcaConfig, clustered_components
 
-__all__ = ["CompressConfig", "Losses", "clustered", "compress", "compressed", "stored"]
+__all__ = [
+    "Clustered",
+    "CompressConfig",
+    "Losses",
+    "clustered",
+    "compress",
+    "fitted",
+    "sparse_wavelets",
+]
 
 MOST = 32767  # what a number of 16 bits holds, on either side
 TURNS = 60  # of representatives towards their large numbers; ten fewer cost one in a hundred bytes
+HALVINGS = 32
 SPARE = 0.1  # of what clusters lose, at least, is left for numbers that are left out
 
 
@@ -45,8 +54,8 @@ class CompressConfig:
     Attributes:
         terms: representatives n of a cluster.
         points_per_cluster: vertices that share them, on average.
-        error: Σ‖M̃ − M‖² / Σ‖M‖² of every segment, if its clusters leave room: numbers are left out
-            until it is reached.
+        error: Σ‖M̃ − M‖² / Σ‖M‖² of all segments together, if clusters leave room: numbers are
+            left out until it is reached.
         rounds: of clusters, for each number of terms on the way.
         seed: of the clusters.
     """
@@ -93,8 +102,27 @@ class Losses:
         return {name: getattr(self, name) / (self.energy or 1.0) for name in names}
 
 
+@dataclass(frozen=True, eq=False)
+class Clustered:
+    """The clusters of a segment, and exact representatives.
+
+    Attributes:
+        vertices: those that are not zero, cluster after cluster, (K,) int32.
+        starts: of each cluster's run, (C + 1,) int32.
+        wavelets: representatives times the roots of their eigenvalues, in Haar wavelets, (C, N, D).
+        energy: Σ‖M‖².
+        lost: what is left of that without the representatives.
+    """
+
+    vertices: IntArray
+    starts: IntArray
+    wavelets: FloatArray
+    energy: float
+    lost: float
+
+
 def compress(
-    segments: Iterable[FloatArray],
+    segments: Callable[[], Iterable[FloatArray]],
     surface: Surface,
     view: FloatArray,
     size: int,
@@ -105,7 +133,8 @@ def compress(
     """The field of the raw transfer of a surface.
 
     Args:
-        segments: of each of the 24 in order (P, m, (n/2)²) float32; only one is held.
+        segments: makes the raw transfer of each of the 24 in order, (P, m, (n/2)²) float32. It is
+            asked twice, for clusters and for weights, and one segment is held at a time.
         surface: P vertices.
         view: view factors (m, S, 3).
         size: texels n a side of a face of the cube map.
@@ -117,59 +146,71 @@ def compress(
         ValueError: there are not 24 segments, or their arrays do not fit the surface.
     """
     shape = (len(surface), len(view), (size // 2) ** 2)
-    found, losses = [], []
-    for number, raw in enumerate(segments, 1):
+    found = []
+    for number, raw in enumerate(segments(), 1):
         if raw.shape != shape:
             raise ValueError(f"a segment has shape {raw.shape}, expected {shape}")
-        segment, lost = compressed(raw, config)
-        found.append(segment)
-        losses.append(lost)
-        error = lost.errors()["stored"]
-        report("compressed segments", number, SEGMENTS, f"error {100 * error:.2f} %")
+        found.append(clustered(raw, config))
+        report("clusters of segments", number, SEGMENTS)
         del raw  # before the next is made
-    whole = sum(losses, Losses())
+    kept, left = sparse_wavelets(found, config.error)
+    parts, losses = [], []
+    for number, (raw, one) in enumerate(zip(segments(), found, strict=True)):
+        segment, missed = fitted(raw, one, kept[number])
+        parts.append(segment)
+        losses.append(Losses(one.energy, one.lost, one.lost + left[number], missed))
+        report("weights of segments", number + 1, SEGMENTS)
+        del raw
     facts = {
         **(told or {}),
         "terms": config.terms,
         "points_per_cluster": config.points_per_cluster,
-        "squared_error": whole.errors(),
+        "squared_error": sum(losses, Losses()).errors(),
         "squared_error_of_segments": [one.errors()["stored"] for one in losses],
     }
-    return AllFrequencyField(surface, tuple(found), view, size, facts)
+    return AllFrequencyField(surface, tuple(parts), view, size, facts)
 
 
-def compressed(raw: FloatArray, config: CompressConfig) -> tuple[Segment, Losses]:
-    """A segment (P, m, (n/2)²) as it is stored, and what that loses."""
-    return stored(raw, clustered(raw, config), config.error)
-
-
-def clustered(raw: FloatArray, config: CompressConfig) -> Components:
-    """The clusters of a segment and their exact representatives."""
+def clustered(raw: FloatArray, config: CompressConfig) -> Clustered:
+    """The clusters of a segment (P, m, (n/2)²) and their exact representatives."""
     points = raw.reshape(len(raw), -1)
-    many = config.clusters(int(points.any(axis=1).sum()))
+    reached = int(points.any(axis=1).sum())
+    many = config.clusters(reached)
     how = CpcaConfig(many, config.terms, rounds=config.rounds, seed=config.seed)
-    return clustered_components(points, how)
-
-
-def stored(raw: FloatArray, found: Components, error: float) -> tuple[Segment, Losses]:
-    """A segment as it is stored, and what that loses.
-
-    Args:
-        raw: (P, m, (n/2)²).
-        found: its clusters.
-        error: to be reached, see :class:`CompressConfig`.
-    """
-    reached = int((found.label >= 0).sum())
+    found = clustered_components(points, how)
     order = np.argsort(found.label, kind="stable")[len(raw) - reached :]
     sizes = np.bincount(found.label[order], minlength=len(found.axes))
-    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
-    lost = found.error * found.energy
-    room = max(error * found.energy - lost, SPARE * lost)
-    wavelets = scaled_wavelets(found, raw.shape[1:])
-    kept, left = thresholded(turned(wavelets, room), room)
-    points, shape = raw.reshape(len(raw), -1), raw.shape[1:]
-    segment, missed = fitted(points, order.astype(np.int32), starts, kept, shape)
-    return segment, Losses(found.energy, lost, lost + left, missed)
+    return Clustered(
+        order.astype(np.int32),
+        np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
+        scaled_wavelets(found, raw.shape[1:]),
+        found.energy,
+        found.error * found.energy,
+    )
+
+
+def sparse_wavelets(
+    found: Sequence[Clustered], error: float
+) -> tuple[list[FloatArray], list[float]]:
+    """Representatives of all segments without their smallest numbers, and what goes with them.
+
+    One limit holds for all: the last number left out matters as much in every segment, so no
+    choice of as many numbers would lose less.
+
+    Args:
+        found: clusters of segments.
+        error: see :class:`CompressConfig`.
+    """
+    energy, lost = sum(one.energy for one in found), sum(one.lost for one in found)
+    room = max(error * energy - lost, SPARE * lost)
+    wavelets = [one.wavelets for one in found]
+    least = limit(wavelets, room)
+    wavelets = [turned(one, least) for one in wavelets]
+    least = limit(wavelets, room)
+    left = [below(one, least) for one in wavelets]
+    for number, one in enumerate(wavelets):
+        wavelets[number] = np.where(np.abs(one) > least, one, np.float32(0.0))
+    return wavelets, left
 
 
 def scaled_wavelets(found: Components, shape: tuple[int, ...]) -> FloatArray:
@@ -181,22 +222,17 @@ def scaled_wavelets(found: Components, shape: tuple[int, ...]) -> FloatArray:
     return blocks.reshape(clusters, terms, width)
 
 
-def turned(wavelets: FloatArray, room: float) -> FloatArray:
+def turned(wavelets: FloatArray, least: float) -> FloatArray:
     """Other representatives (C, N, D) of the same sums, more of whose numbers are small.
 
     Their weights' columns are orthonormal, and stay so when rows of a cluster are turned by an
-    orthogonal matrix and weights with them. In turn numbers that would be left out become 0, and
-    rows are turned as near to that as can be (orthogonal Procrustes): neither ever takes the two
-    further apart, as in learning an orthonormal dictionary.
-
-    Args:
-        wavelets: representatives times the roots of their eigenvalues.
-        room: what the squares of the numbers left out come to.
+    orthogonal matrix and weights with them. In turn numbers up to ``least`` become 0, and rows are
+    turned as near to that as can be (orthogonal Procrustes): neither ever takes the two further
+    apart, as in learning an orthonormal dictionary.
     """
     if wavelets.size == 0:
         return wavelets
     found = torch.as_tensor(wavelets)
-    _, least = smallest(wavelets, room)
     for _ in range(TURNS):
         kept = torch.where(found.abs() > least, found, 0.0)
         left, _, right = torch.linalg.svd(kept @ found.mT)
@@ -204,58 +240,58 @@ def turned(wavelets: FloatArray, room: float) -> FloatArray:
     return np.asarray(found.numpy())
 
 
-def smallest(wavelets: FloatArray, room: float) -> tuple[float, float]:
-    """Of the smallest numbers whose squares fit into ``room`` the sum of squares; the largest."""
-    square = np.sort(np.square(wavelets, dtype=np.float64).ravel())
-    total = np.cumsum(square)
-    count = int(np.searchsorted(total, room, side="right"))
-    if count == 0:
-        return 0.0, 0.0
-    return float(total[count - 1]), float(np.sqrt(square[count - 1]))
+def below(wavelets: FloatArray, least: float) -> float:
+    """The sum of the squares of numbers up to ``least``."""
+    small = wavelets[np.abs(wavelets) <= least]
+    return float(np.square(small, dtype=np.float64).sum())
 
 
-def thresholded(wavelets: FloatArray, room: float) -> tuple[FloatArray, float]:
-    """The same without the smallest numbers, of squares of ``room`` together, and what is gone."""
-    left, least = smallest(wavelets, room)
-    return np.where(np.abs(wavelets) > least, wavelets, np.float32(0.0)), left
+def limit(wavelets: Sequence[FloatArray], room: float) -> float:
+    """How large numbers are whose squares, and those of all smaller ones, come to ``room``.
+
+    By bisection of the exponent: there are tens of millions of them.
+    """
+    largest = max((float(np.abs(one).max(initial=0.0)) for one in wavelets), default=0.0)
+    if sum(below(one, largest) for one in wavelets) <= room:
+        return largest
+    low, high = -60.0, 0.0  # powers of two, of the largest
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2.0
+        least = largest * 2.0**middle
+        fits = sum(below(one, least) for one in wavelets) <= room
+        low, high = (middle, high) if fits else (low, middle)
+    return largest * 2.0**low
 
 
-def fitted(
-    points: FloatArray,
-    order: IntArray,
-    starts: IntArray,
-    wavelets: FloatArray,
-    shape: tuple[int, ...],
-) -> tuple[Segment, float]:
+def fitted(raw: FloatArray, found: Clustered, wavelets: FloatArray) -> tuple[Segment, float]:
     """A segment of representatives and the weights of 16 bits that fit them, and Σ‖M̃ − M‖².
 
     Every representative is stored as shares of its largest number, so that none saturates however
     different they are.
 
     Args:
-        points: raw transfer (P, m · h²).
-        order: vertices by cluster, (K,).
-        starts: of each cluster's run.
-        wavelets: representatives (C, N, m · h²).
-        shape: m and h².
+        raw: (P, m, h²).
+        found: its clusters.
+        wavelets: representatives (C, N, m · h²) without small numbers.
     """
     clusters, terms, width = wavelets.shape
-    side = round(shape[1] ** 0.5)
     largest = np.abs(wavelets).max(axis=2, initial=0.0, keepdims=True)
     whole = np.rint(wavelets * (MOST / np.where(largest > 0.0, largest, 1.0))).astype(np.int16)
-    rows = unhaar(whole.astype(np.float32).reshape(clusters, terms, shape[0], side, side) / MOST)
-    rows = rows.reshape(clusters, terms, width)
-    weights = np.zeros((len(order), terms), dtype=np.int16)
+    side = round(raw.shape[2] ** 0.5)
+    blocks = whole.astype(np.float32).reshape(clusters, terms, raw.shape[1], side, side)
+    rows = (unhaar(blocks) / np.float32(MOST)).reshape(clusters, terms, width)
+    points = raw.reshape(len(raw), -1)
+    weights = np.zeros((len(found.vertices), terms), dtype=np.int16)
     scale = np.zeros((clusters, terms), dtype=np.float32)
     lost = 0.0
     for cluster in range(clusters):
-        run = slice(starts[cluster], starts[cluster + 1])
-        own = points[order[run]]
+        run = slice(found.starts[cluster], found.starts[cluster + 1])
+        own = points[found.vertices[run]]
         weights[run], scale[cluster] = rounded(best_weights(own, rows[cluster]))
         own = own - (weights[run] * scale[cluster]) @ rows[cluster]
         lost += float(np.square(own, dtype=np.float64).sum())
     sparse = encode(whole.reshape(clusters * terms, width))
-    return Segment(order, starts, weights, scale, sparse, 1.0 / MOST), lost
+    return Segment(found.vertices, found.starts, weights, scale, sparse, 1.0 / MOST), lost
 
 
 def best_weights(points: FloatArray, rows: FloatArray) -> FloatArray:

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from prtnet.all_frequency import check_segment
 from prtnet.haar import unhaar
 from tests.all_frequency import dense_segment
-from tests.training.test_all_frequency import raw_segment
+from tests.training.test_all_frequency import compressed, raw_segment
 from tests.training.test_cpca import rebuilt
-from training.all_frequency import CompressConfig, compressed
+from training.all_frequency import CompressConfig
 from training.cpca import CpcaConfig, clustered_components
 
 

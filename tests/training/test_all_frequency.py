@@ -5,20 +5,25 @@ import itertools
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from prtnet.all_frequency import SEGMENTS, AllFrequencyField, check_segment
+from prtnet.all_frequency import SEGMENTS, AllFrequencyField, Segment, check_segment
 from prtnet.all_frequency_file import sizes
 from prtnet.haar import unhaar
 from prtnet.sparse_columns import decode
 from tests.all_frequency import ball, dense_segment
 from training.all_frequency import (
     CompressConfig,
+    Losses,
+    below,
     best_weights,
+    clustered,
     compress,
-    compressed,
+    fitted,
+    limit,
     rounded,
-    smallest,
-    thresholded,
+    sparse_wavelets,
     turned,
 )
 from training.cpca import CpcaConfig, clustered_components
@@ -38,11 +43,19 @@ def raw_segment(
     return found.astype(np.float32)
 
 
+def compressed(raw: np.ndarray, config: CompressConfig) -> tuple[Segment, Losses]:
+    """One segment as it is stored, and what that loses."""
+    found = clustered(raw, config)
+    kept, left = sparse_wavelets([found], config.error)
+    segment, stored = fitted(raw, found, kept[0])
+    return segment, Losses(found.energy, found.lost, found.lost + left[0], stored)
+
+
 def field_of(config: CompressConfig, rows: int = 2) -> tuple[AllFrequencyField, list[np.ndarray]]:
     raw = [raw_segment(k, rows=rows) for k in range(SEGMENTS)]
     raw[5][:] = 0.0
     view = np.ones((rows, 16, 3), dtype=np.float32)
-    return compress(iter(raw), ball(2), view, 8, config, {"source": "made"}), raw
+    return compress(lambda: iter(raw), ball(2), view, 8, config, {"source": "made"}), raw
 
 
 def test_the_error_told_is_the_error_of_what_is_stored() -> None:
@@ -95,17 +108,29 @@ def test_exact_representatives_lose_what_the_clusters_lose() -> None:
     assert told["stored"] <= 1.11 * found.error
 
 
-def test_the_smallest_numbers_go_first() -> None:
-    rng = np.random.default_rng(4)
-    wavelets = rng.normal(size=(3, 4, 50)).astype(np.float32)
-    kept, left = thresholded(wavelets, 2.0)
-    gone = kept == 0.0
-    np.testing.assert_array_equal(kept[~gone], wavelets[~gone])
-    assert np.abs(wavelets[gone]).max() <= np.abs(wavelets[~gone]).min()
-    assert left == pytest.approx(np.square(wavelets[gone].astype(np.float64)).sum())
-    assert left <= 2.0 < left + np.square(np.abs(wavelets[~gone]).min())
-    assert thresholded(wavelets, 0.0)[1] == 0.0
-    assert not thresholded(wavelets, 1e9)[0].any()
+@given(st.integers(0, 30), st.floats(0.0, 400.0))
+@settings(max_examples=40)
+def test_the_limit_is_that_of_the_sorted_numbers(seed: int, room: float) -> None:
+    rng = np.random.default_rng(seed)
+    wavelets = [rng.normal(size=(2, 3, 10 + k)).astype(np.float32) for k in range(3)]
+    square = np.sort(np.concatenate([one.ravel() for one in wavelets]).astype(np.float64) ** 2)
+    least = limit(wavelets, room)
+    count = sum(int((np.abs(one) <= least).sum()) for one in wavelets)
+    assert sum(below(one, least) for one in wavelets) <= room
+    assert count == np.searchsorted(np.cumsum(square), room, side="right")
+
+
+def test_one_limit_holds_for_all_segments() -> None:
+    """Together they lose what is asked for; the noisy one more, and the smooth one less."""
+    raw = [raw_segment(1, noise=0.01), raw_segment(2, noise=0.1)]
+    found = [clustered(one, CompressConfig(6, 30)) for one in raw]
+    kept, left = sparse_wavelets(found, 0.02)
+    energy, lost = (sum(getattr(one, name) for one in found) for name in ("energy", "lost"))
+    assert lost + sum(left) == pytest.approx(0.02 * energy, rel=0.02)
+    errors = [(one.lost + gone) / one.energy for one, gone in zip(found, left, strict=True)]
+    assert errors[0] < 0.018 < 0.022 < errors[1]
+    smallest = [np.abs(one[one != 0.0]).min() for one in kept]
+    assert max(smallest) < 1.2 * min(smallest)
 
 
 def test_turned_representatives_make_the_same_sums_of_fewer_numbers() -> None:
@@ -113,12 +138,12 @@ def test_turned_representatives_make_the_same_sums_of_fewer_numbers() -> None:
     sparse = rng.normal(size=(3, 4, 60)) * (rng.random((3, 4, 60)) < 0.2)
     mixed, _ = np.linalg.qr(rng.normal(size=(3, 4, 4)))
     wavelets = (mixed @ sparse + 0.01 * rng.normal(size=sparse.shape)).astype(np.float32)
-    found = turned(wavelets, 0.5)
+    found = turned(wavelets, limit([wavelets], 0.5))
     same = np.swapaxes(found, 1, 2) @ found
     np.testing.assert_allclose(same, np.swapaxes(wavelets, 1, 2) @ wavelets, atol=1e-4)
-    before, after = (np.count_nonzero(thresholded(one, 0.5)[0]) for one in (wavelets, found))
+    before, after = (int((np.abs(one) > limit([one], 0.5)).sum()) for one in (wavelets, found))
     assert after < 0.85 * before
-    assert turned(wavelets[:0], 0.5).shape == (0, 4, 60)
+    assert turned(wavelets[:0], 0.1).shape == (0, 4, 60)
 
 
 def test_every_turn_brings_representatives_nearer_to_what_is_kept(
@@ -126,11 +151,11 @@ def test_every_turn_brings_representatives_nearer_to_what_is_kept(
 ) -> None:
     """Squares of what is left out, and the limit's square for each number kept, never grow."""
     wavelets = np.random.default_rng(11).normal(size=(2, 5, 80)).astype(np.float32)
-    least = smallest(wavelets, 20.0)[1]
+    least = limit([wavelets], 20.0)
     costs = []
     for turns in (0, 1, 2, 5, 20):
         monkeypatch.setattr("training.all_frequency.TURNS", turns)
-        found = turned(wavelets, 20.0)
+        found = turned(wavelets, least)
         costs.append(float(np.minimum(np.square(found), least**2).sum()))
     assert costs == sorted(costs, reverse=True)
     assert costs[-1] < 0.98 * costs[0]
@@ -186,9 +211,9 @@ def test_arrays_that_do_not_fit() -> None:
     raw = [raw_segment(k) for k in range(3)]
     view = np.ones((2, 16, 3), dtype=np.float32)
     with pytest.raises(ValueError, match="3 segments, not 24"):
-        compress(raw, ball(2), view, 8, CompressConfig())
+        compress(lambda: iter(raw), ball(2), view, 8, CompressConfig())
     with pytest.raises(ValueError, match=r"shape \(162, 2, 16\), expected \(162, 2, 64\)"):
-        compress(raw, ball(2), view, 16, CompressConfig())
+        compress(lambda: iter(raw), ball(2), view, 16, CompressConfig())
     for change in ({"terms": 0}, {"points_per_cluster": 0}, {"error": 1.0}, {"error": -0.1}):
         with pytest.raises(ValueError, match="start at 1"):
             dataclasses.replace(CompressConfig(), **change)
