@@ -169,7 +169,8 @@ def main() -> None:
             publish("all frequency stages", ("", "MB", "of raw", "squared error"),
                     stage_rows(field, losses), f"{name}; {told}.")  # fmt: skip
             taken = [[stage, f"{number:.0f}"] for stage, number in seconds.items()]
-            publish("all frequency time", ("", "seconds"), [*taken, ["peak memory, GB", f"{peak:.2f}"]],
+            taken.append(["peak memory, GB", f"{peak:.2f}"])
+            publish("all frequency time", ("", "seconds"), taken,
                     f"{name}; {told}, {chosen.threads} threads.")  # fmt: skip
     publish(
         "all frequency bytes",
