@@ -48,7 +48,7 @@ class AllFrequencyOptions:
     texels: int = 32  # of a face of the light's cube map, a side: 8, 16, 32 or 64
     terms: int = 16  # representatives of a cluster
     points_per_cluster: int = 200  # vertices that share representatives, on average
-    error: str = "0.2%"  # squared error to stay below, where clusters leave room for it
+    error: str = "0.2%"  # squared error to stay below, if clusters leave room for it
     seed: int = 0  # of the clusters
     threads: int | None = None  # CPU threads; all cores when not given
 
