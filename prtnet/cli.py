@@ -264,7 +264,10 @@ def by_kind(
 ) -> bool:
     """Hand the arguments to what their file is for; whether it is for one of these."""
     from prtnet.array_file import ALL_FREQUENCY, LOBES, TRANSFER, kind_named
+    from prtnet.cli_arguments import input_file
 
+    if argv and argv[0].endswith(".safetensors") and (len(argv) == 1 or argv[1].startswith("-")):
+        input_file(Path(argv[0]))  # before a scene is asked for that it may have no need of
     run = {TRANSFER: field, LOBES: field, ALL_FREQUENCY: all_frequency}.get(kind_named(argv) or "")
     if run is not None:
         run(argv)

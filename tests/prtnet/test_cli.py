@@ -329,3 +329,12 @@ def test_info_of_a_sample_scene(
     assert cli.run(["info", str(shared_data / "robot.glb"), "--json", str(report)]) == 0
     assert "Robot_Yes" in capsys.readouterr().out
     assert json.loads(report.read_text())
+
+
+@pytest.mark.parametrize("command", ["render", "view"])
+def test_a_file_that_is_not_there_is_told_before_what_it_would_need(
+    command: str, tmp_path: Path
+) -> None:
+    """A field needs no scene: whether one is missing cannot be known yet."""
+    with pytest.raises(PrtnetError, match=r"none\.safetensors: does not exist"):
+        COMMANDS[command].run([str(tmp_path / "none.safetensors")])
