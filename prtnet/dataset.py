@@ -28,6 +28,7 @@ from prtnet.files import finish, remove
 
 __all__ = [
     "FORMAT_VERSION",
+    "MARKERS",
     "SAMPLED",
     "Block",
     "Dataset",
