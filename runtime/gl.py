@@ -184,9 +184,7 @@ class GLRenderer:
             stage.show(subject)
             stage.light(lobes)
             stage.material(operator)
-            frame = framed(self._context, size, made)
-            stage.draw(frame, camera.matrix(size[0] / size[1]), np.asarray(camera.eye))
-            return pixels_of(frame, size)
+            return self._drawn(stage, camera, size, made)
 
     def draw_lobes(
         self,
@@ -206,9 +204,19 @@ class GLRenderer:
             stage.show(subject)
             stage.light(lobes)
             stage.material(material)
-            frame = framed(self._context, size, made)
-            stage.draw(frame, camera.matrix(size[0] / size[1]), np.asarray(camera.eye))
-            return pixels_of(frame, size)
+            return self._drawn(stage, camera, size, made)
+
+    def _drawn(
+        self,
+        stage: Stage | OneDimensionalStage,
+        camera: Camera,
+        size: tuple[int, int],
+        made: contextlib.ExitStack,
+    ) -> FloatArray:
+        """What a stage shows, through a camera."""
+        frame = framed(self._context, size, made)
+        stage.draw(frame, camera.matrix(size[0] / size[1]), np.asarray(camera.eye))
+        return pixels_of(frame, size)
 
     def _program(self, texels: int) -> Any:
         if texels not in self._programs:

@@ -6,7 +6,6 @@ stay; a light is some uniforms, a material two small textures. No shader is ever
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -20,6 +19,7 @@ from prtnet.glsl import WIDTH, texture
 from prtnet.gpu_tables import GPUTables
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
+from runtime.gpu_timer import GPUTimer
 from runtime.material_shader import FRAGMENT_SHADER, most_lobes, vertex_shader
 from runtime.reflected import Side, Subject
 from runtime.vertex_probe import VertexProbe
@@ -78,11 +78,7 @@ class Stage:
         self._probe: VertexProbe | None = None
         self._latents: Any = None
         self._occluders: Any = None
-        try:
-            self._timers: list[Any] = [context.query(time=True) for _ in range(2)]
-        except Exception:  # some OpenGL has no timer queries: it draws all the same
-            self._timers = []
-        self._drawn = 0
+        self._timer = GPUTimer(context)
         for unit, name in enumerate(TEXTURES):
             self._set(name, unit)
         self.show_bands(0)
@@ -317,12 +313,10 @@ class Stage:
         self._set("view_projection", np.asarray(matrix).T)
         self._set("eye", np.asarray(eye))
         self._bind()
-        timer = self._timers[self._drawn % 2] if self._timers else contextlib.nullcontext()
-        with timer:
+        with self._timer:
             self._mesh.render(moderngl.TRIANGLES)
-        self._drawn += 1
-        if self._timers and self._drawn > 1:  # the one before: this one is still being drawn
-            self.milliseconds["draw"] = self._timers[self._drawn % 2].elapsed / 1e6
+        if self._timer.milliseconds is not None:
+            self.milliseconds["draw"] = self._timer.milliseconds
 
     def _bind(self) -> None:
         """Every texture to its unit."""
