@@ -44,7 +44,7 @@ def opened_viewer(
         PrtnetError: model and scene do not belong together, there is no such clip, light or
             material, or no window can be opened.
     """
-    from runtime.base_viewer import open_window
+    from runtime.base_viewer import in_window
     from runtime.show import Show
     from runtime.view import View
     from runtime.viewer import Desk, Viewer
@@ -70,13 +70,10 @@ def opened_viewer(
         list(LIGHTS), options.out, say, [*MATERIALS, *BRDFS], cast_files, options.model,
         options.scene,
     )  # fmt: skip
-    window = open_window(f"prtnet: {options.model.name}", options.size, visible)
-    try:
-        return Viewer(window, Show(window.ctx, cast, environments), view, desk)
-    except BaseException:
-        window.close()
-        window.destroy()
-        raise
+    return in_window(
+        f"prtnet: {options.model.name}", options.size, visible,
+        lambda window: Viewer(window, Show(window.ctx, cast, environments), view, desk),
+    )  # fmt: skip
 
 
 def until_closed(viewer: BaseViewer[Any, Any, Any], fail: Callable[[str, int, bool], int]) -> None:

@@ -9,7 +9,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -58,7 +58,7 @@ def opened_all_frequency_viewer(
 
     from runtime.all_frequency_sight import AllFrequencySight, AllFrequencyView
     from runtime.all_frequency_viewer import AllFrequencyDesk, AllFrequencyViewer
-    from runtime.base_viewer import open_window
+    from runtime.base_viewer import in_window
 
     torch.set_num_threads(threads)
     environments = functools.cache(environment)
@@ -68,12 +68,10 @@ def opened_all_frequency_viewer(
         raise PrtnetError(options.out, "is no folder to save pictures in; make it, or give another")
     view = AllFrequencyView(light=options.light, turning=options.turning)
     desk = AllFrequencyDesk(list(PRESETS), options.out, say, load_fields)
-    window = open_window(f"prtnet: {options.field.name}", options.size, visible)
-    try:
-        size = options.field.stat().st_size
+    size = options.field.stat().st_size
+
+    def shown(window: Any) -> AllFrequencyViewer:
         show = AllFrequencySight(window.ctx, fields, environments, size)
         return AllFrequencyViewer(window, show, view, desk)
-    except BaseException:
-        window.close()
-        window.destroy()
-        raise
+
+    return in_window(f"prtnet: {options.field.name}", options.size, visible, shown)

@@ -70,7 +70,7 @@ def opened_field_viewer(
         PrtnetError: field and mesh do not belong together, there is no such clip or light, or no
             window can be opened.
     """
-    from runtime.base_viewer import open_window
+    from runtime.base_viewer import in_window
     from runtime.field_show import FieldShow
     from runtime.field_view import FieldView
     from runtime.field_viewer import FieldDesk, FieldViewer
@@ -94,13 +94,10 @@ def opened_field_viewer(
         return field_cast(field, on, options.repeat, compare, threads)
 
     desk = FieldDesk(list(LIGHTS), options.out, say, BUILT_IN, reopened, options.field, options.on)
-    window = open_window(f"prtnet: {options.field.name}", options.size, visible)
-    try:
-        return FieldViewer(window, FieldShow(window.ctx, cast, environments), view, desk)
-    except BaseException:
-        window.close()
-        window.destroy()
-        raise
+    return in_window(
+        f"prtnet: {options.field.name}", options.size, visible,
+        lambda window: FieldViewer(window, FieldShow(window.ctx, cast, environments), view, desk),
+    )  # fmt: skip
 
 
 def field_cast(

@@ -30,9 +30,11 @@ __all__ = [
     "PLAY_KEYS",
     "BaseDesk",
     "BaseViewer",
+    "in_window",
     "open_window",
 ]
 
+T = TypeVar("T")
 S = TypeVar("S", bound=Sight[Any])
 V = TypeVar("V", bound=Outlook)
 D = TypeVar("D", bound="BaseDesk")
@@ -101,6 +103,21 @@ def open_window(title: str, size: tuple[int, int], visible: bool = True) -> Any:
             "prtnet view", f"cannot open a window with OpenGL ({reason}); use prtnet render, which "
             "needs neither, or give it a display (xvfb-run)"
         ) from error  # fmt: skip
+
+
+def in_window(title: str, size: tuple[int, int], visible: bool, made: Callable[[Any], T]) -> T:
+    """What is made in a window of its own, which is closed where it cannot be made.
+
+    Raises:
+        PrtnetError: no window can be opened; see :func:`open_window`.
+    """
+    window = open_window(title, size, visible)
+    try:
+        return made(window)
+    except BaseException:
+        window.close()
+        window.destroy()
+        raise
 
 
 class BaseViewer(ABC, Generic[S, V, D]):
