@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
+from prtnet.array_library import Array, library
 from prtnet.arrays import FloatArray, IntArray
 
 __all__ = ["Grid", "grid_of", "looked_up", "points"]
@@ -27,25 +29,26 @@ def points(u: FloatArray, v: FloatArray) -> FloatArray:
     return np.stack([u - np.copysign(fold, u), v - np.copysign(fold, v), z], axis=-1)
 
 
-def looked_up(where: FloatArray, cells: int) -> tuple[IntArray, FloatArray]:
+def looked_up(where: Array, cells: int) -> tuple[Any, Array]:
     """Of directions (3, K) float32 the corners of their cells, and what those weigh: both (4, K).
 
     Corners are counted row · (N + 1) + column, rows along v. Directions may have any length but 0.
+    Arrays of NumPy or torch.
     """
+    xp = library(where)
     x, y, z = where
-    scale = np.float32(1.0) / (np.abs(x) + np.abs(y) + np.abs(z))
+    scale = 1.0 / (abs(x) + abs(y) + abs(z))
     x, y, folded = x * scale, y * scale, z < 0.0
-    half, one = np.float32(cells / 2), np.float32(1.0)
-    u = np.where(folded, np.copysign(one - np.abs(y), x), x)
-    v = np.where(folded, np.copysign(one - np.abs(x), y), y)
-    u, v = (u + one) * half, (v + one) * half
-    column = np.minimum(u.astype(np.int32), cells - 1)
-    row = np.minimum(v.astype(np.int32), cells - 1)
-    u, v = u - column.astype(np.float32), v - row.astype(np.float32)
+    u = xp.where(folded, xp.copysign(1.0 - abs(y), x), x)
+    v = xp.where(folded, xp.copysign(1.0 - abs(x), y), y)
+    u, v = (u + 1.0) * (cells / 2), (v + 1.0) * (cells / 2)
+    column = xp.clip(xp.floor(u), None, cells - 1)
+    row = xp.clip(xp.floor(v), None, cells - 1)
+    u, v = u - column, v - row
     both = u * v
-    first = row * np.int32(cells + 1) + column
-    weights = np.stack([one - u - v + both, u - both, v - both, both])
-    return first + np.array([[0], [1], [cells + 1], [cells + 2]], dtype=np.int32), weights
+    first = xp.asarray(row, dtype=xp.int32) * (cells + 1) + xp.asarray(column, dtype=xp.int32)
+    weights = xp.stack([1.0 - u - v + both, u - both, v - both, both])
+    return xp.stack([first, first + 1, first + (cells + 1), first + (cells + 2)]), weights
 
 
 @dataclass(frozen=True, eq=False)

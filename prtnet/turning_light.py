@@ -4,7 +4,7 @@ A light smaller than the distance between the samples of a cube map would flicke
 ("All-Frequency", Liu, Sloan, Shum and Snyder 2004, section 6 warns of aliasing). The table holds
 the light spread by heat over the sphere, to a Gaussian about as wide as that distance: however it
 is turned, the samples see the same of it. Heat keeps the light's energy, and a constant light as
-it is.
+it is. Every turn looks it up anew, on torch's threads.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 import scipy.sparse
+import torch
+from torch.nn.functional import embedding_bag
 
 from prtnet.arrays import FloatArray
 from prtnet.cube_map import SIZE, directions, solid_angles
@@ -46,17 +48,17 @@ class TurningLight:
         grid = grid_of(self.cells)
         spread = SPREAD * 2.0 / (size * samples)  # samples are farthest apart amid a face
         falls = gathered(light, grid, self.cells)
-        self.table = warmed(falls, self.cells, spread)[grid.vertex]
+        self.table = torch.from_numpy(warmed(falls, self.cells, spread)[grid.vertex])
         fine = directions(size * samples).reshape(6, size, samples, size, samples, 3)
         share = solid_angles(size * samples).reshape(size, samples, size, samples)
         shares = np.broadcast_to(share / share.sum(axis=(1, 3), keepdims=True), fine.shape[:-1])
-        # Sample by sample of all texels: what is at hand then stays in the cache.
-        self.directions = np.ascontiguousarray(
-            fine.transpose(2, 4, 5, 0, 1, 3).reshape(samples**2, 3, -1), dtype=np.float32
+        self.directions = torch.from_numpy(
+            fine.transpose(5, 0, 1, 3, 2, 4).reshape(3, -1).astype(np.float32)
         )
-        self.shares = np.ascontiguousarray(
-            shares.transpose(2, 4, 0, 1, 3).reshape(samples**2, -1), dtype=np.float32
+        self.shares = torch.from_numpy(
+            shares.transpose(0, 1, 3, 2, 4).reshape(-1).astype(np.float32)
         )
+        self.starts = torch.arange(0, len(self.shares), samples**2, dtype=torch.int32)
 
     def at(self, rotation: FloatArray | None = None) -> FloatArray:
         """The cube map (6, n, n, 3) float32, linear RGB, of the light turned.
@@ -68,12 +70,13 @@ class TurningLight:
             ValueError: it is no rotation.
         """
         back = np.eye(3) if rotation is None else np.asarray(checked_rotation(rotation)).T
-        back = back.astype(np.float32)
-        found = np.zeros((self.shares.shape[1], 3), dtype=np.float32)
-        for where, share in zip(self.directions, self.shares, strict=True):
-            for corner, weight in zip(*looked_up(back @ where, self.cells), strict=True):
-                found += (weight * share)[:, None] * self.table.take(corner, axis=0)
-        return found.reshape(6, self.size, self.size, 3)
+        where = torch.from_numpy(back.astype(np.float32)) @ self.directions
+        found = torch.zeros((len(self.starts), 3))
+        for corner, weight in zip(*looked_up(where, self.cells), strict=True):
+            found += embedding_bag(
+                corner, self.table, self.starts, mode="sum", per_sample_weights=weight * self.shares
+            )
+        return np.asarray(found.numpy().reshape(6, self.size, self.size, 3))
 
 
 def gathered(light: Source | Environment, grid: Grid, cells: int) -> FloatArray:
