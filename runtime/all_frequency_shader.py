@@ -1,8 +1,9 @@
 """GLSL of all-frequency transfer: 3.30, nothing beyond WebGL 2's reach; see runtime.all_frequency.
 
-Two programs. One sums products over the segments that reach a vertex, a texel for each row of each
-vertex, and is run when the light has changed; the other, run for every picture, looks view factors
-up and draws. What is summed on the CPU may stand in the same texture.
+Three programs. One sums products over the segments that reach a vertex, a texel for each row of
+each vertex, and is run when the light has changed; what is summed on the CPU may stand in the same
+texture. One, run when the eye has moved, looks view factors up, a texel for each vertex: a fragment
+shader, because OpenGL in software runs those alone on all cores. The last draws the mesh.
 """
 
 from __future__ import annotations
@@ -17,9 +18,16 @@ from prtnet.glsl import CONCENTRIC, WIDTH, filled, texture
 from prtnet.reflection import LOWEST
 from runtime.all_frequency_products import Runs
 
-__all__ = ["columns_of", "draw_shaders", "product_texels", "run_textures", "sum_shaders"]
+__all__ = [
+    "columns_of",
+    "draw_shaders",
+    "product_texels",
+    "run_textures",
+    "seen_shaders",
+    "sum_shaders",
+]
 
-SUM_VERTEX = """#version $VERSION
+TRIANGLE_VERTEX = """#version $VERSION
 const vec2 CORNERS[3] = vec2[3](vec2(-1.0, -1.0), vec2(3.0, -1.0), vec2(-1.0, 3.0));
 void main() { gl_Position = vec4(CORNERS[gl_VertexID], 0.0, 1.0); }
 """
@@ -55,28 +63,41 @@ void main() {
 }
 """
 
-DRAW_VERTEX = """#version $VERSION
+SEEN_FRAGMENT = """#version $VERSION
 uniform highp sampler2D sums;  // m texels of a vertex, whole vertices a row
 uniform highp sampler2DArray view_factors;  // a layer a row
+uniform highp sampler2D positions;
+uniform highp sampler2D tangents;
+uniform highp sampler2D normals;
 uniform int rows;  // m again: a loop that compilers do not unroll is compiled much faster
-uniform mat4 view_projection;
 uniform highp vec3 eye;
-in vec3 position;
-in vec3 tangent;
-in vec3 normal;
-out vec3 radiance;
+out vec4 radiance;
 
 $CONCENTRIC
 void main() {
-    vec3 n = normalize(normal);
+    ivec2 place = ivec2(gl_FragCoord.xy);
+    int vertex = place.y * $WIDTH + place.x;
+    vec3 n = normalize(texelFetch(normals, place, 0).rgb);
+    vec3 tangent = texelFetch(tangents, place, 0).rgb;
     vec3 t = normalize(tangent - dot(tangent, n) * n);
-    vec3 local = normalize(eye - position) * mat3(t, cross(n, t), n);
-    vec2 place = on_square(normalize(vec3(local.xy, max(local.z, $LOWEST))));
-    ivec2 texel = ivec2((gl_VertexID % $COLUMNS) * $ROWS, gl_VertexID / $COLUMNS);
-    radiance = vec3(0.0);
+    vec3 local = normalize(eye - texelFetch(positions, place, 0).rgb) * mat3(t, cross(n, t), n);
+    vec2 cell = on_square(normalize(vec3(local.xy, max(local.z, $LOWEST))));
+    ivec2 texel = ivec2((vertex % $COLUMNS) * $ROWS, vertex / $COLUMNS);
+    radiance = vec4(0.0, 0.0, 0.0, 1.0);
     for (int row = 0; row < rows; ++row)
-        radiance += texelFetch(sums, texel + ivec2(row, 0), 0).rgb
-                  * textureLod(view_factors, vec3(place, float(row)), 0.0).rgb;
+        radiance.rgb += texelFetch(sums, texel + ivec2(row, 0), 0).rgb
+                      * textureLod(view_factors, vec3(cell, float(row)), 0.0).rgb;
+}
+"""
+
+DRAW_VERTEX = """#version $VERSION
+uniform highp sampler2D radiances;  // a texel a vertex
+uniform mat4 view_projection;
+in vec3 position;
+out vec3 radiance;
+
+void main() {
+    radiance = texelFetch(radiances, ivec2(gl_VertexID % $WIDTH, gl_VertexID / $WIDTH), 0).rgb;
     gl_Position = view_projection * vec4(position, 1.0);
 }
 """
@@ -95,16 +116,20 @@ def sum_shaders(rows: int, version: str = "330") -> tuple[str, str]:
         rows: m, built in.
         version: of GLSL, and the default precisions where it asks for them.
     """
-    return filled(SUM_VERTEX, words_of(rows, version)), filled(
-        SUM_FRAGMENT, words_of(rows, version)
-    )
+    words = words_of(rows, version)
+    return filled(TRIANGLE_VERTEX, words), filled(SUM_FRAGMENT, words)
 
 
-def draw_shaders(rows: int, version: str = "330") -> tuple[str, str]:
+def seen_shaders(rows: int, version: str = "330") -> tuple[str, str]:
+    """Vertex and fragment shader of what vertices show an eye; see ``sum_shaders``."""
+    words = words_of(rows, version)
+    return filled(TRIANGLE_VERTEX, words), filled(SEEN_FRAGMENT, words)
+
+
+def draw_shaders(version: str = "330") -> tuple[str, str]:
     """Vertex and fragment shader of what draws the mesh; see ``sum_shaders``."""
-    return filled(DRAW_VERTEX, words_of(rows, version)), filled(
-        DRAW_FRAGMENT, words_of(rows, version)
-    )
+    words = {"VERSION": version, "WIDTH": WIDTH}
+    return filled(DRAW_VERTEX, words), filled(DRAW_FRAGMENT, words)
 
 
 def words_of(rows: int, version: str) -> dict[str, object]:

@@ -15,12 +15,14 @@ import numpy as np
 from prtnet.all_frequency import AllFrequencyField
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
+from prtnet.glsl import texture
 from runtime.all_frequency_products import Products, Sums, vertex_runs
 from runtime.all_frequency_shader import (
     columns_of,
     draw_shaders,
     product_texels,
     run_textures,
+    seen_shaders,
     sum_shaders,
 )
 
@@ -64,6 +66,7 @@ class AllFrequencyStage:
         self._sums = Sums(field) if on_cpu else None
         self._held: dict[str, Any] = {}
         self._made: list[Any] = []
+        self._eye: tuple[float, ...] | None = None  # that radiances are held for
         self._columns = columns_of(field.rows)
         try:
             self._upload()
@@ -100,14 +103,21 @@ class AllFrequencyStage:
         self._held["view_factors"] = layers
         layers.filter, layers.repeat_x, layers.repeat_y = (moderngl.LINEAR,) * 2, False, False
         surface = field.surface
-        parts = {"position": surface.positions, "tangent": surface.tangents,
-                 "normal": surface.normals, "faces": surface.faces}  # fmt: skip
+        parts = {"positions": surface.positions, "tangents": surface.tangents,
+                 "normals": surface.normals}  # fmt: skip
         for name, part in parts.items():
-            self._held[name] = context.buffer(reserve=max(1, part.nbytes))
-            self._held[name].write(np.ascontiguousarray(part))
-        self.program: Any = self._keep(context.program(*draw_shaders(rows)))
-        self.program["rows"] = rows
-        attributes = [(self._held[name], "3f", name) for name in parts if name != "faces"]
+            self._texture(name, texture(part.astype(np.float32)))
+        self._texture("radiances", texture(np.zeros((len(field), 4), dtype=np.float32)))
+        self._seen = self._keep(context.framebuffer([self._held["radiances"]]))
+        self._seeing: Any = self._keep(context.program(*seen_shaders(rows)))
+        self._seeing["rows"] = rows
+        self._all_seen = self._keep(context.vertex_array(self._seeing, []))
+        kept: dict[str, Any] = {"position": surface.positions, "faces": surface.faces}
+        for name, array in kept.items():
+            self._held[name] = context.buffer(reserve=max(1, array.nbytes))
+            self._held[name].write(np.ascontiguousarray(array))
+        self.program: Any = self._keep(context.program(*draw_shaders()))
+        attributes = [(self._held["position"], "3f", "position")]
         self._mesh = self._keep(context.vertex_array(self.program, attributes, self._held["faces"]))
 
     def _upload_runs(self) -> None:
@@ -146,15 +156,13 @@ class AllFrequencyStage:
 
     def light(self, coefficients: FloatArray) -> None:
         """Take a light: Haar coefficients of its segments, (24, (n/2)², 3)."""
+        self._eye = None
         watch = [time.perf_counter()]
         products = self.products(coefficients)
         watch.append(time.perf_counter())
         if self._sums is None:
             self._held["products"].write(product_texels(products))
-            self._frame.use()
-            self.context.enable_only(moderngl.NOTHING)
-            self._bind(self._summing)
-            self._triangle.render(moderngl.TRIANGLES, vertices=3)
+            self._fill(self._frame, self._summing, self._triangle)
         else:
             sums = self._sums(products)
             watch.append(time.perf_counter())
@@ -173,12 +181,23 @@ class AllFrequencyStage:
             matrix: world to clip space, (4, 4).
             eye: where from, (3,).
         """
+        own = tuple(float(one) for one in eye)
+        if own != self._eye:
+            self._seeing["eye"] = own
+            self._fill(self._seen, self._seeing, self._all_seen)
+            self._eye = own
         frame.use()
         self.program["view_projection"].write(matrix.T.astype("f4").tobytes())
-        self.program["eye"] = tuple(float(one) for one in eye)
         self._bind(self.program)
         self.context.enable_only(moderngl.DEPTH_TEST)
         self._mesh.render(moderngl.TRIANGLES)
+
+    def _fill(self, frame: Any, program: Any, triangle: Any) -> None:
+        """Run a program for every texel of a framebuffer."""
+        frame.use()
+        self.context.enable_only(moderngl.NOTHING)
+        self._bind(program)
+        triangle.render(moderngl.TRIANGLES, vertices=3)
 
     def _bind(self, program: Any) -> None:
         """The textures that a program reads."""

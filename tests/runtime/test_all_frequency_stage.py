@@ -14,7 +14,7 @@ from prtnet.cube_map import segment_coefficients
 from prtnet.errors import PrtnetError
 from runtime import all_frequency_stage
 from runtime.all_frequency import gathered, seen_from, transformed
-from runtime.all_frequency_shader import draw_shaders, sum_shaders
+from runtime.all_frequency_shader import draw_shaders, seen_shaders, sum_shaders
 from runtime.all_frequency_stage import AllFrequencyStage
 from runtime.camera import Camera
 from runtime.gl import create_context, pixels_of
@@ -115,7 +115,7 @@ def test_light_and_eye_change_by_themselves(context, summed, monkeypatch):
 
 @pytest.mark.parametrize("rows", [1, 10])
 def test_the_shaders_are_webgl_2s(context, rows):
-    for vertex, fragment in (sum_shaders(rows, WEB), draw_shaders(rows, WEB)):
+    for vertex, fragment in (sum_shaders(rows, WEB), seen_shaders(rows, WEB), draw_shaders(WEB)):
         context.program(vertex_shader=vertex, fragment_shader=fragment).release()
 
 
