@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from data_gen.rays import LIFT, border_operator, departure
 from data_gen.visibility import BATCH, Tracer
@@ -97,16 +98,20 @@ def cube_visibility(
 
     def one(part: slice) -> None:
         seen = normals[part] @ every.T > 0.0  # [B, D]
-        # From outside of the ball only rays into it can hit anything: of the ground, few.
+        traced = seen
         outside = np.maximum(np.square(starts[part]).sum(axis=1) - radius2, 0.0)
-        into = starts[part] @ every32.T <= np.where(outside > 0.0, -np.sqrt(outside), 9.9)[:, None]
-        point, direction = np.nonzero(seen & into)
+        if outside.any():
+            # From outside of the ball only rays into it can hit anything: of the ground, few.
+            nearest = np.where(outside > 0.0, -np.sqrt(outside), 9.9)[:, None]
+            traced = seen & (starts[part] @ every32.T <= nearest)
+        point, direction = np.nonzero(traced)
         ways = every32[direction]
         hit = tracer.occluded(starts[part][point] + AHEAD * ways, ways)
         seen[point[hit], direction[hit]] = False
         bits[part] = np.packbits(seen, axis=1)
 
-    with ThreadPoolExecutor(threads) as pool:
+    # Each product is small, and BLAS's own threads would wait for those that trace.
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(threads) as pool:
         for done, _ in enumerate(pool.map(one, parts), 1):
             report("rays", min(done * step, len(surface)), len(surface))
     return CubeVisibility(bits.reshape(len(surface), 6, size, size // 8), size)
