@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,7 +20,7 @@ from prtnet.cube_map import segment_coefficients
 from prtnet.environment import about_up, environment
 from prtnet.errors import PrtnetError
 from prtnet.limits import MOST_PIXELS, MOST_THREADS, check_side, check_within
-from prtnet.truncation import area_weights, truncated
+from prtnet.truncation import area_weights, transfer_weights, truncated
 from prtnet.turning_light import TurningLight
 
 if TYPE_CHECKING:
@@ -44,7 +45,8 @@ class AllFrequencyOptions:
     light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
     light_turn: float = 0.0  # turn the light about the vertical by so many degrees
     keep: int | None = None  # so many wavelets of the light, of 6 n²; all when not given
-    keep_by: Literal["magnitude", "area"] = "magnitude"  # the largest, or by what they cover
+    # The largest, or weighed by what they cover, or by what the object makes of them.
+    keep_by: Literal["magnitude", "area", "transfer"] = "magnitude"
     alone: bool = False  # show the object without what stands beside it
     size: tuple[int, int] = (640, 640)  # of the picture, in pixels
     azimuth: float = 30.0  # of the camera: degrees to the left of the object from in front
@@ -111,13 +113,14 @@ def make_all_frequency_pictures(
         report = held.enter_context(console.progress())
         report("light", 0, 0)
         light = TurningLight(source, fields[0].size)
+        weights = importance(options, fields)
         write = held.enter_context(opened_reel(options.out, options.fps))
         for number, frame in enumerate(frames):
             report("pictures", number, len(frames))
             if number == 0 or turns:
                 turn = options.light_turn + (math.degrees(frame.turn) if turns else 0.0)
                 shining = segment_coefficients(light.at(about_up(turn)))
-                drawer.light(kept(options, shining, fields[0].size))
+                drawer.light(truncated(shining, options.keep or shining[..., 0].size, weights))
             seen = camera if turns else camera.around(frame.turn)
             fine = drawer.draw(seen.matrix(aspect), np.asarray(seen.eye))
             linear = averaged(fine, options.size)
@@ -127,12 +130,14 @@ def make_all_frequency_pictures(
     return {"out": out, **facts(fields), "size": options.size, "pictures": len(frames)}
 
 
-def kept(options: AllFrequencyOptions, coefficients: FloatArray, size: int) -> FloatArray:
-    """The light, or its most important wavelets alone."""
-    if options.keep is None:
-        return coefficients
-    weights = area_weights(size) if options.keep_by == "area" else None
-    return truncated(coefficients, options.keep, weights)
+def importance(
+    options: AllFrequencyOptions, fields: Sequence[AllFrequencyField]
+) -> FloatArray | None:
+    """What magnitudes of wavelets are weighed by."""
+    if options.keep is None or options.keep_by == "magnitude":
+        return None
+    by_area = options.keep_by == "area"
+    return area_weights(fields[0].size) if by_area else transfer_weights(fields)
 
 
 def shown(options: AllFrequencyOptions) -> tuple[AllFrequencyField, ...]:

@@ -8,17 +8,17 @@ become important: what is left out flickers. Sparse light makes the products of 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 
+from prtnet.all_frequency import SEGMENTS, AllFrequencyField, Segment
 from prtnet.arrays import FloatArray
 from prtnet.cube_map import segments_of, solid_angles
-from prtnet.haar import haar, unhaar
+from prtnet.haar import unhaar
+from prtnet.sparse_columns import decode
 
 __all__ = ["area_weights", "transfer_weights", "truncated"]
-
-BLOCK = 1 << 14  # rows of transfer at a time
 
 
 def truncated(
@@ -62,23 +62,34 @@ def area_weights(size: int) -> FloatArray:
     return np.einsum("kyx,gyx->gk", every, areas)
 
 
-def transfer_weights(segments: Iterable[FloatArray]) -> FloatArray:
-    """How strongly a surface answers every wavelet of light, (24, (n/2)²).
+def transfer_weights(fields: Sequence[AllFrequencyField]) -> FloatArray:
+    """How strongly baked objects answer every wavelet of light together, (24, (n/2)²).
 
-    The root of the mean square over vertices and rows.
+    The root of the mean square over their vertices and rows of transfer, as it is stored.
 
     Args:
-        segments: 24 of raw transfer (P, m, (n/2)²), as ``data_gen.all_frequency`` makes them.
+        fields: of the same n.
     """
-    return np.stack([answered(one) for one in segments])
+    rows = sum(len(one) * one.rows for one in fields)
+    squares = [
+        sum(answered(one.segments[number], one.rows) for one in fields)
+        for number in range(SEGMENTS)
+    ]
+    return np.sqrt(np.stack(squares) / max(1, rows))
 
 
-def answered(transfer: FloatArray) -> FloatArray:
-    """Of one segment (P, m, h²): (h²,)."""
-    half = round(transfer.shape[-1] ** 0.5)
-    flat = transfer.reshape(-1, half, half)
-    total = np.zeros(half * half)
-    for start in range(0, len(flat), BLOCK):
-        waves = haar(flat[start : start + BLOCK]).reshape(-1, half * half)
-        total += np.einsum("bk,bk->k", waves, waves, dtype=np.float64)
-    return np.sqrt(total / max(1, len(flat)))
+def answered(one: Segment, rows: int) -> FloatArray:
+    """Squares of the columns of a segment's transfer, summed over vertices and rows, ((n/2)²,).
+
+    Of a cluster with weights W and representatives R they are diag(Rᵀ Wᵀ W R).
+    """
+    clusters, terms = one.scale.shape
+    if not clusters:
+        return np.zeros(one.representatives.shape[1] // rows)
+    weights = one.weights * one.scale[one.labels()].astype(np.float64) * one.step
+    grams = np.add.reduceat(weights[:, :, None] * weights[:, None, :], one.starts[:-1])
+    total = np.zeros(one.representatives.shape[1])
+    every = decode(one.representatives).reshape(clusters, terms, -1)
+    for gram, own in zip(grams, every.astype(np.float64), strict=True):
+        total += np.einsum("nd,nd->d", gram @ own, own)
+    return np.maximum(total, 0.0).reshape(rows, -1).sum(axis=0)

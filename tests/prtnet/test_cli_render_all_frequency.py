@@ -80,12 +80,13 @@ def test_a_truncated_light(files, tmp_path):
     for name, argv in {
         "whole": [], "all": ["--keep", "384"], "few": ["--keep", "40"],
         "by area": ["--keep", "40", "--keep-by", "area"],
+        "by transfer": ["--keep", "40", "--keep-by", "transfer"],
     }.items():  # fmt: skip
         out = tmp_path / f"{name}.png"
         rendered(files, out, "ball", "--renderer", "cpu", "--light", "sunset", *argv)
         pictures[name] = out.read_bytes()
     assert pictures["whole"] == pictures["all"]
-    assert len(set(pictures.values())) == 3
+    assert len(set(pictures.values())) == 4
 
 
 def test_a_movie(files, tmp_path):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from prtnet.cube_map import segment_coefficients, solid_angles
 from prtnet.truncation import area_weights, transfer_weights, truncated
+from tests.all_frequency import ball, dense_segment, random_field
 
 
 @given(count=st.integers(0, 400), seed=st.integers(0, 5))
@@ -52,20 +53,15 @@ def test_areas_are_integrals_of_wavelets():
     assert found[:, 0].sum() == pytest.approx(math.pi)
 
 
-def test_weights_of_transfer_are_those_of_its_wavelets():
-    rng = np.random.default_rng(1)
-    raw = rng.normal(size=(24, 7, 2, 16)) * rng.uniform(size=(24, 1, 1, 16))
-    found = transfer_weights(iter(raw.astype(np.float32)))
-    expected = np.zeros((24, 16))
-    for segment in range(24):
-        for vertex in range(7):
-            for row in range(2):
-                texels = np.zeros((6, 8, 8, 1))
-                face, row_half, column_half = segment // 4, segment // 2 % 2, segment % 2
-                own = raw[segment, vertex, row].reshape(4, 4, 1)
-                texels[face, 4 * row_half :, 4 * column_half :][:4, :4] = own
-                expected += segment_coefficients(texels)[..., 0] ** 2 / 14
-    np.testing.assert_allclose(found, np.sqrt(expected), rtol=1e-5)
+def test_weights_of_transfer_are_those_of_all_matrices():
+    fields = [random_field(1, rows=3), random_field(2, ball(2), rows=2)]
+    squares = np.zeros((24, 16))
+    for field in fields:
+        for number, one in enumerate(field.segments):
+            dense = dense_segment(one, len(field)).reshape(-1, 16)
+            squares[number] += np.square(dense).sum(axis=0)
+    rows = sum(len(field) * field.rows for field in fields)
+    np.testing.assert_allclose(transfer_weights(fields), np.sqrt(squares / rows), rtol=1e-6)
 
 
 def test_what_is_answered_more_is_kept_before_what_is_brighter():
