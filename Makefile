@@ -8,18 +8,29 @@ READY := $(VENV)/.installed
 READY_DEV := $(VENV)/.installed-dev
 PYTEST_ARGS ?= -n auto --maxprocesses 8 --dist loadfile
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint dist pins audit bench clean
 
 demo: $(READY)  ## the whole pipeline on the bundled character; pictures in demo/
 	$(BIN)/prtnet demo --out demo
 
-test: lint  ## style, types, and every test
+test: lint  ## style, types, every test, and what is shipped
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(MAKE) dist
 
 lint: $(READY_DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+dist: $(READY_DEV)  ## wheel and sdist in dist/, tried in an empty environment
+	$(BIN)/python -m scripts.distributions
+
+pins: $(READY_DEV)  ## constraints.txt and docs/licences.md, of what is installed
+	$(BIN)/python -m scripts.pins
+	$(BIN)/python -m scripts.licences
+
+audit: $(READY_DEV)  ## known vulnerabilities of what is pinned; says so where nobody can be asked
+	@$(BIN)/python -m scripts.audit || [ $$? = 3 ]
 
 bench: $(READY_DEV)  ## every number of docs/benchmarks.md and docs/papers.md
 	@set -e; for script in $(filter-out bench/tables.py bench/charts.py,$(sort $(wildcard bench/[a-z]*.py))); do \

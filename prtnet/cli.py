@@ -413,7 +413,7 @@ def bake_all_frequency(argv: Sequence[str]) -> None:
 def demo(argv: Sequence[str]) -> None:
     """Everything, on the bundled character."""
     from prtnet.cli_arguments import output_folder
-    from prtnet.cli_demo import demo_steps
+    from prtnet.cli_demo import QUICK_EDGE, demo_steps
     from prtnet.cli_options import DemoOptions
 
     options, session = arguments("demo", argv, DemoOptions)
@@ -422,8 +422,9 @@ def demo(argv: Sequence[str]) -> None:
     from data_gen.gltf_writer import write_glb
     from data_gen.procedural import HELD_OUT, mannequin
 
-    write_glb(mannequin(), options.out / "mannequin.glb")
-    for step in demo_steps(options.out, HELD_OUT):
+    character = mannequin(QUICK_EDGE) if options.quick else mannequin()
+    write_glb(character, options.out / "mannequin.glb")
+    for step in demo_steps(options.out, HELD_OUT, options.quick):
         session.console.message(f"\n$ prtnet {shlex.join(step)}")
         dispatch([*step, "--quiet"] if session.console.quiet else step)
     session.console.message("")

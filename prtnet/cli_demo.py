@@ -5,21 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-__all__ = ["demo_steps"]
+__all__ = ["QUICK_EDGE", "demo_steps"]
 
 # What the demonstration spends, in generate and in train.
 DEMO_EFFORT = ["--fps", "8", "--rays", "256", "--sample", "150"]
 DEMO_FIT = ["--preset", "small"]
+QUICK_EFFORT = ["--fps", "2", "--rays", "32", "--sample", "8"]
+QUICK_FIT = [*DEMO_FIT, "--clusters", "4"]
+QUICK_EDGE = 0.06  # of the character's mesh, metres
 
 
-def demo_steps(out: Path, held_out: Sequence[str]) -> list[list[str]]:
-    """The command lines of the demonstration."""
+def demo_steps(out: Path, held_out: Sequence[str], quick: bool = False) -> list[list[str]]:
+    """The command lines of the demonstration, or of a coarse one in seconds."""
+    effort, fit = (QUICK_EFFORT, QUICK_FIT) if quick else (DEMO_EFFORT, DEMO_FIT)
     scene, data, model = (str(out / f"mannequin.{kind}") for kind in ("glb", "zarr", "safetensors"))
     holdout, errors = ",".join(held_out), str(out / "errors.json")
     picture = ["--clip", held_out[0], "--compare", "truth", "--out", str(out / "frame.png")]
     return [
-        ["generate", scene, "--out", data, "--holdout", holdout, *DEMO_EFFORT],
-        ["train", data, "--out", model, *DEMO_FIT],
+        ["generate", scene, "--out", data, "--holdout", holdout, *effort],
+        ["train", data, "--out", model, *fit],
         ["export", model, "--out", str(out / "export")],
         ["render", model, scene, *picture],
         ["evaluate", model, data, "--json", errors],

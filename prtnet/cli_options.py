@@ -288,3 +288,4 @@ class DemoOptions:
     """Options of ``prtnet demo``."""
 
     out: Path = Path("demo")  # folder for everything it makes
+    quick: bool = False  # a coarse character and few rays: seconds, to see that all of it works

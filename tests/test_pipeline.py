@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from data_gen.gltf_writer import write_glb
-from data_gen.procedural import arm, mannequin
+from data_gen.procedural import arm
 from data_gen.readers import read_scene
 from data_gen.visibility import Tracer, trace_pose
 from prtnet import cli, cli_demo, sh
@@ -462,15 +462,9 @@ def test_slow_steps_report(work: Path, tmp_path: Path, monkeypatch: pytest.Monke
     assert list(dict.fromkeys(told)) == ["material", "pictures", "dumped poses", "poses"]
 
 
-def test_demonstration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    coarse = mannequin(0.06)
-    monkeypatch.setattr("data_gen.procedural.mannequin", lambda: coarse)
-    monkeypatch.setattr(cli_demo, "DEMO_EFFORT", ["--count", "4", "--rays", "16", "--sample", "8"])
-    monkeypatch.setattr(cli_demo, "DEMO_FIT", ["--kind", "linear", "--clusters", "4"])
+def test_demonstration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "demo"
-    prtnet("demo", "--out", folder, "--json", tmp_path / "paths.json")
+    prtnet("demo", "--quick", "--out", folder, "--json", tmp_path / "paths.json")
     paths = json.loads((tmp_path / "paths.json").read_text())
     assert paths == {
         "onnx": str(folder / "export" / "model.onnx"),
