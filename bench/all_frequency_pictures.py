@@ -107,9 +107,11 @@ class Prop:
         key = part, brdf, terms
         if key not in self.baked:
             rows = row_factors(brdf)
-            raw = transfer_segments(self.parts[part], self.seen[part], rows, self.threads)
+            given = self.parts[part], self.seen[part], rows, self.threads
             config = CompressConfig(terms, error=0.002)
-            self.baked[key] = compress(raw, self.parts[part], rows.view, self.texels, config)
+            self.baked[key] = compress(
+                lambda: transfer_segments(*given), self.parts[part], rows.view, self.texels, config
+            )
             told = self.baked[key].metadata["squared_error"]["stored"]
             print(f"part {part}, {brdf}, {terms}: squared error {100 * told:.2f} %", flush=True)
         return self.baked[key]
