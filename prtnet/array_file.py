@@ -19,6 +19,7 @@ from prtnet.files import writing
 
 __all__ = [
     "ALL_FREQUENCY",
+    "BLOCK",
     "LOBES",
     "MODEL",
     "TRANSFER",
@@ -32,10 +33,12 @@ __all__ = [
 # The metadata key of each kind of file: whose header it is.
 MODEL, TRANSFER, LOBES = "prtnet", "prtnet-transfer", "prtnet-lobes"
 ALL_FREQUENCY = "prtnet-all-frequency"
+BLOCK = "prtnet-block"  # of a larger work, from one machine to another
 MADE_BY = {
     MODEL: ("model", "train one first"),
     TRANSFER: ("transfer field", "bake one first"),
     LOBES: ("field of lobes", "bake one with --lobes first"),
+    BLOCK: ("block of data", "start the command again"),
     ALL_FREQUENCY: ("field of all-frequency transfer", "bake one with bake-all-frequency first"),
 }
 

@@ -175,7 +175,7 @@ def train(argv: Sequence[str]) -> None:
     """Fit a model to a dataset."""
     from prtnet.cli_arguments import check_output, input_file, named_options, value_of
     from prtnet.cli_options import TrainOptions, fraction_of
-    from prtnet.cli_train import check_lobe_options
+    from prtnet.cli_train import check_cluster, check_lobe_options
     from training.budget import Budget
     from training.config import PRESETS
 
@@ -186,16 +186,18 @@ def train(argv: Sequence[str]) -> None:
     max_error = fraction_of("--max-error", options.max_error)
     budget = Budget(max_error, options.max_ms, options.max_mb)
     check_lobe_options(config, named_options(argv))
+    check_cluster(options.cluster, config, budget, session.console.message)
     check_output(options.out, input_file(options.dataset, folder=True))
 
     import torch
 
-    from prtnet.cli_train import fitting, summary
+    from prtnet.cli_train import fitting, fitting_place, summary
     from prtnet.console import StageMonitor, in_per_cent
     from prtnet.dataset import Dataset
 
     torch.set_num_threads(threads(options.threads))
-    with session.console.progress() as report:
+    place = fitting_place(options.cluster, options.out)
+    with session.console.progress() as report, place:
         monitor = StageMonitor(report)
         dataset = Dataset.open(options.dataset)
         fit = fitting(dataset, config, budget, threads(options.threads))

@@ -1,4 +1,4 @@
-"""The work of ``prtnet train`` that is more than a call: a search within a budget.
+"""The work of ``prtnet train`` that is more than a call: a search within a budget, or a cluster.
 
 Beside ``prtnet.cli``, which it serves, it may import the other packages: a budget of milliseconds
 is measured by the runtime.
@@ -6,8 +6,11 @@ is measured by the runtime.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prtnet.errors import PrtnetError
@@ -20,7 +23,7 @@ if TYPE_CHECKING:
     from training.config import TrainConfig
     from training.monitor import Monitor
 
-__all__ = ["check_lobe_options", "fitting", "summary"]
+__all__ = ["check_cluster", "check_lobe_options", "fitting", "fitting_place", "summary"]
 
 OF_PRIORS = ("near_spheres", "patches", "near_patches", "prior_order", "samples", "width", "depth",
              "codes", "steps")  # fmt: skip
@@ -53,6 +56,52 @@ def check_lobe_options(config: TrainConfig, named: Mapping[str, str]) -> None:
     for name, why in whys.items():
         if name in named:
             raise PrtnetError(named[name], why)
+
+
+def check_cluster(
+    address: str | None, config: TrainConfig, budget: Budget, tell: Callable[[str], None]
+) -> None:
+    """Refuse a cluster that would have nothing to do, and tell what it will not do.
+
+    Args:
+        address: of the cluster; None for none.
+        config: of the fit.
+        budget: of a search, which tries kinds of its own.
+        tell: the user.
+
+    Raises:
+        PrtnetError: it would have nothing to do.
+    """
+    if address is None:
+        return
+    if config.device != "cpu":
+        raise PrtnetError(
+            "--device", "has no say in fits on a cluster; leave it, or --cluster, out"
+        )
+    if budget or config.kind == "auto":
+        return
+    from training.train import NEURAL
+
+    if config.regression not in NEURAL or config.latents < 1:
+        what = f"a {config.regression} model without networks of clusters"
+        raise PrtnetError("--cluster", f"does nothing for {what}; leave it out")
+    if config.kind in ("hybrid", "shared"):
+        tell(f"--cluster fits the networks of clusters; what all receivers of a {config.kind} "
+             "model share is one fit, made here")  # fmt: skip
+
+
+def fitting_place(address: str | None, out: Path) -> AbstractContextManager[None]:
+    """Inside it networks are fitted on a cluster, if there is one; through a folder beside ``out``.
+
+    Raises:
+        PrtnetError: on entering, the folder cannot be made.
+    """
+    if address is None:
+        return contextlib.nullcontext()
+    from prtnet.executor import executor
+    from training.elsewhere import PACKAGES, fits_elsewhere
+
+    return fits_elsewhere(executor(address, 1, PACKAGES), out.with_name(f".{out.name}.fits"))
 
 
 def fitting(

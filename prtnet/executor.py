@@ -7,16 +7,20 @@ bytes in the same place.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from importlib.metadata import PackageNotFoundError
 from itertools import islice
 from typing import Any, Protocol
 
 from prtnet.errors import PrtnetError
+from prtnet.provenance import made_with
 
 __all__ = ["Cluster", "Local", "Task", "Tasks", "executor"]
 
 PATIENCE = "10s"  # for an answer of the scheduler
+OF_PROCESS = {"prtnet", "python", "machine"}  # facts that are no packages
 AHEAD = 2000  # tasks the scheduler knows of at a time: it keeps each in its memory
 
 
@@ -91,10 +95,28 @@ class Serial(Executor):
         return future
 
 
-def on_worker(task: Task, number: int) -> int:
-    """What a worker of a cluster runs."""
+def on_worker(task: Task, number: int, made: tuple[tuple[str, str], ...]) -> int:
+    """What a worker of a cluster runs, if it has these versions."""
+    require_same(made)
     task(number, Serial())
     return number
+
+
+@functools.cache
+def require_same(made: tuple[tuple[str, str], ...]) -> None:
+    """Refuse to work with other versions than those ``made`` by: bytes would differ.
+
+    Raises:
+        PrtnetError: one differs.
+    """
+    for name, wanted in made:
+        try:
+            own = made_with(*{name} - OF_PROCESS)[name]
+        except PackageNotFoundError:
+            own = "not there"
+        if own != wanted:
+            what = f"{name} is {own} on a worker and {wanted} here"
+            raise PrtnetError("--cluster", f"{what}; make them the same")
 
 
 class Cluster:
@@ -102,10 +124,12 @@ class Cluster:
 
     Args:
         address: of its scheduler, ``tcp://host:port``.
+        packages: that decide the bytes of results, so that workers must have the same.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, packages: Sequence[str] = ()) -> None:
         self.address = address
+        self.made = tuple(made_with(*packages).items())
 
     def run(self, task: Task, numbers: Sequence[int], ahead: int = 1) -> Iterator[int]:
         """See :class:`Tasks`. A piece whose worker dies is done by another."""
@@ -122,13 +146,16 @@ class Cluster:
             what = f"no scheduler answers at {self.address}"
             raise PrtnetError("--cluster", f"{what}; start one with dask scheduler") from error
         left = iter(numbers)
+
+        def submitted(number: int) -> Any:
+            return client.submit(on_worker, task, number, self.made, pure=False)
+
         with client:
-            first = [client.submit(on_worker, task, n, pure=False) for n in islice(left, AHEAD)]
-            running = as_completed(first, loop=client.loop)
+            running = as_completed(map(submitted, islice(left, AHEAD)), loop=client.loop)
             for future in running:
                 yield result(future)
                 for number in islice(left, 1):
-                    running.add(client.submit(on_worker, task, number, pure=False))
+                    running.add(submitted(number))
 
 
 def result(future: Any) -> int:
@@ -146,6 +173,6 @@ def result(future: Any) -> int:
         raise PrtnetError("--cluster", f"{what}; start it and this again") from error
 
 
-def executor(cluster: str | None, threads: int) -> Tasks:
-    """Threads of this process, or the cluster of that address."""
-    return Local(threads) if cluster is None else Cluster(cluster)
+def executor(cluster: str | None, threads: int, packages: Sequence[str] = ()) -> Tasks:
+    """Threads of this process, or the cluster of that address, as :class:`Cluster` has it."""
+    return Local(threads) if cluster is None else Cluster(cluster, packages)

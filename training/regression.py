@@ -10,6 +10,7 @@ and Pereyra 1973); the gradient at the best c is the partial gradient with respe
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 import torch
@@ -18,7 +19,17 @@ from torch import Tensor
 from prtnet.errors import PrtnetError
 from training.lbfgs import NOT_FINITE, Objective, minimise
 
-__all__ = ["Fit", "average", "fit_linear", "fit_neural", "total_iterations"]
+__all__ = [
+    "ELSEWHERE",
+    "Fit",
+    "Networks",
+    "average",
+    "fit_linear",
+    "fit_neural",
+    "total_iterations",
+]
+
+OnIteration = Callable[[int, Tensor], None]
 
 CLOSED_FORM, CONSTANT = "closed form", "constant"
 START_ALPHA = 1e-2  # of the ridge regression that networks start near
@@ -235,18 +246,21 @@ def projected_objective(inputs: Tensor, targets: Tensor, neurons: int, alpha: fl
     return objective
 
 
-def start_near_ridge(x: Tensor, t: Tensor, neurons: int, generator: torch.Generator) -> Tensor:
+def start_near_ridge(
+    x: Tensor, t: Tensor, neurons: int, generator: torch.Generator, first: int, of: int
+) -> Tensor:
     """Flattened hidden layers (A, (K+1)·N) that already see what a line would.
 
     Each neuron looks along a random mixture of the ridge regression's directions, and a little
     elsewhere, where tanh hardly bends; random biases spread the neurons over its range. From here
-    half the iterations go as far as from random weights.
+    half the iterations go as far as from random weights. Random numbers are drawn for ``of``
+    clusters, of which these are those from ``first`` on: a block has the numbers of its place.
     """
     clusters, _, width = x.shape
 
     def normal(*shape: int) -> Tensor:
-        drawn = torch.randn(clusters, *shape, generator=generator, dtype=torch.float64)
-        return drawn.to(x)
+        drawn = torch.randn(of, *shape, generator=generator, dtype=torch.float64)
+        return drawn[first : first + clusters].to(x)
 
     directions = ridge(x, t, START_ALPHA)[:, :-1] @ normal(t.shape[2], neurons)
     spread = (x @ directions).square().mean(dim=1, keepdim=True).sqrt()
@@ -259,7 +273,7 @@ def best_start(
     objective: Objective,
     starts: Sequence[Tensor],
     iterations: int,
-    on_iteration: Callable[[int, Tensor], None] | None,
+    on_iteration: OnIteration | None,
 ) -> tuple[Tensor, Tensor]:
     """Each problem's best of several starts after some iterations from each, and how many it took.
 
@@ -284,9 +298,7 @@ def best_start(
     return points[best, each], taken[best.cpu(), each.cpu()]
 
 
-def shifted(
-    on_iteration: Callable[[int, Tensor], None], offset: int
-) -> Callable[[int, Tensor], None]:
+def shifted(on_iteration: OnIteration, offset: int) -> OnIteration:
     """The same, counting from ``offset``."""
     return lambda iteration, values: on_iteration(iteration + offset, values)
 
@@ -296,6 +308,58 @@ def total_iterations(iterations: int, restarts: int) -> int:
     return iterations if restarts == 1 else iterations + restarts * min(SCREENING, iterations)
 
 
+@dataclass(frozen=True)
+class Networks:
+    """How networks are fitted to targets of unit variance; see :func:`fit_neural`."""
+
+    neurons: int
+    alpha: float
+    iterations: int = 300
+    seed: int = 0
+    restarts: int = 1
+
+    def __call__(
+        self,
+        x: Tensor,
+        t: Tensor,
+        on_iteration: OnIteration | None = None,
+        first: int = 0,
+        of: int | None = None,
+    ) -> Fit:
+        """The fits of inputs (A, P, K) to targets (A, P, L), all in one batch.
+
+        Clusters do not see each other: a block of them, from the ``first`` on out of ``of``, has
+        the bytes that it has in the batch of all, whatever the number of threads.
+        """
+        objective = projected_objective(x, t, self.neurons, self.alpha)
+        generator = torch.Generator().manual_seed(self.seed)
+        place = first, len(x) if of is None else of
+        starts = [
+            start_near_ridge(x, t, self.neurons, generator, *place) for _ in range(self.restarts)
+        ]
+        screening = min(SCREENING, self.iterations)
+        start, before = best_start(objective, starts, screening, on_iteration)
+        offset = total_iterations(self.iterations, self.restarts) - self.iterations
+        result = minimise(
+            objective,
+            start,
+            iterations=self.iterations,
+            on_iteration=None if on_iteration is None else shifted(on_iteration, offset),
+        )
+        hidden = result.x.view(len(x), -1, self.neurons)
+        output = ridge(torch.tanh(with_ones(x) @ hidden), t, self.alpha)
+        return Fit(
+            output[:, :-1], output[:, -1], hidden[:, :-1], hidden[:, -1],
+            result.value, before + result.iterations, result.status,
+        )  # fmt: skip
+
+
+ELSEWHERE: ContextVar[Callable[[Networks, Tensor, Tensor, OnIteration | None], Fit] | None] = (
+    ContextVar("ELSEWHERE", default=None)
+)
+"""What fits networks in place of one batch in this process, where anything does."""
+
+
 def fit_neural(
     inputs: Tensor,
     targets: Tensor,
@@ -303,7 +367,7 @@ def fit_neural(
     alpha: float,
     iterations: int = 300,
     seed: int = 0,
-    on_iteration: Callable[[int, Tensor], None] | None = None,
+    on_iteration: OnIteration | None = None,
     restarts: int = 1,
 ) -> Fit:
     """A tanh network per cluster (eq. 12), fitted by variable projection and L-BFGS.
@@ -322,25 +386,12 @@ def fit_neural(
     Raises:
         PrtnetError: an input or a target is not finite.
     """
+    how = Networks(neurons, alpha, iterations, seed, restarts)
+    elsewhere = ELSEWHERE.get()
 
     def fit(x: Tensor, t: Tensor, _: Tensor) -> Fit:
-        objective = projected_objective(x, t, neurons, alpha)
-        generator = torch.Generator().manual_seed(seed)
-        starts = [start_near_ridge(x, t, neurons, generator) for _ in range(restarts)]
-        screening = min(SCREENING, iterations)
-        start, before = best_start(objective, starts, screening, on_iteration)
-        offset = total_iterations(iterations, restarts) - iterations
-        result = minimise(
-            objective,
-            start,
-            iterations=iterations,
-            on_iteration=None if on_iteration is None else shifted(on_iteration, offset),
-        )
-        hidden = result.x.view(len(x), -1, neurons)
-        output = ridge(torch.tanh(with_ones(x) @ hidden), t, alpha)
-        return Fit(
-            output[:, :-1], output[:, -1], hidden[:, :-1], hidden[:, -1],
-            result.value, before + result.iterations, result.status,
-        )  # fmt: skip
+        if elsewhere is not None:
+            return elsewhere(how, x, t, on_iteration)
+        return how(x, t, on_iteration)
 
     return fit_varying(inputs, targets, fit)

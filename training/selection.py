@@ -17,6 +17,7 @@ from torch import Tensor
 
 from prtnet.arrays import BoolArray, FloatArray, IntArray
 from prtnet.time_range import GUARD
+from training.elsewhere import in_parallel
 from training.regression import Fit
 
 __all__ = [
@@ -283,7 +284,10 @@ class Trials:
         self.on_candidate = on_candidate
 
     def __call__(self, fit: Callable[[Tensor, Tensor, float], Fit], alpha: float) -> float:
-        lost = sum(validation_loss(fit, self.inputs, self.targets, f, alpha) for f in self.folds)
+        def loss(fold: Fold) -> float:
+            return validation_loss(fit, self.inputs, self.targets, fold, alpha)
+
+        lost = sum(in_parallel(loss, self.folds))
         error = float((lost / max(self.signal, 1e-30)) ** 0.5)
         if self.on_candidate is not None:
             self.on_candidate(alpha, error)

@@ -1,0 +1,168 @@
+"""Commands on workers of their own: real processes, one of which is killed now and then."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import platform
+import re
+import signal
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from data_gen.generate import GenerateConfig, generate
+from data_gen.gltf_writer import write_glb
+from data_gen.procedural import arm
+from data_gen.readers import read_scene
+from prtnet.cli import run
+from prtnet.errors import PrtnetError
+from prtnet.executor import Cluster, Task
+from tests.training.data import memory_dataset
+from training.config import TrainConfig
+from training.elsewhere import PACKAGES, fits_elsewhere
+from training.train import train
+
+distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+CONFIG = GenerateConfig(count=24, rays=64, order=3, threads=1, block=1)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as cluster:
+        yield cluster
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "arm.glb"
+    write_glb(arm(segments=10), path)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def _one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+
+
+def kill_a_worker(cluster: Any) -> None:
+    os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+
+
+CAN_KILL = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no SIGKILL here")
+
+
+@CAN_KILL
+def test_a_worker_that_is_killed_changes_no_byte(cluster: Any, scene: Path, tmp_path: Path) -> None:
+    told: list[int] = []
+
+    def kill_one(done: int, total: int) -> None:
+        told.append(done)
+        if done == 4:
+            kill_a_worker(cluster)
+
+    address = cluster.scheduler_address
+    summary = generate(
+        read_scene(scene), CONFIG, tmp_path / "far.zarr", kill_one, cluster=address, source=scene
+    )
+    assert (summary.poses, summary.resumed) == (24, 0)
+    assert told == list(range(25))
+    here = generate(read_scene(scene), CONFIG, tmp_path / "here.zarr").path
+    assert contents(summary.path) == contents(here)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["far.zarr", "here.zarr"]
+
+
+def test_the_command(cluster: Any, scene: Path, tmp_path: Path) -> None:
+    words = [str(scene), "--out", str(tmp_path / "a.zarr"), "--count", "3", "--rays", "16"]
+    address = ["--cluster", cluster.scheduler_address, "--quiet"]
+    assert run(["generate", *words, *address]) == 0
+    assert (tmp_path / "a.zarr" / "zarr.json").is_file()
+    assert run(["generate", *words, *address, "--repair"]) == 2
+
+
+def test_a_worker_that_sees_another_scene_says_so(
+    cluster: Any, scene: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.glb"
+    write_glb(arm(segments=8), other)
+    config = dataclasses.replace(CONFIG, count=2)
+    where = {"cluster": cluster.scheduler_address, "source": other}
+    with pytest.raises(PrtnetError, match=r"other.glb: is another file on a worker"):
+        generate(read_scene(scene), config, tmp_path / "a.zarr", **where)
+    where["source"] = tmp_path / "none.glb"
+    with pytest.raises(PrtnetError, match=r"none.glb"):
+        generate(read_scene(scene), config, tmp_path / "a.zarr", **where)
+
+
+class Deadly(Cluster):
+    """Kills a worker after three pieces."""
+
+    def __init__(self, cluster: Any) -> None:
+        super().__init__(cluster.scheduler_address, PACKAGES)
+        self.cluster, self.done = cluster, 0
+
+    def run(self, task: Task, numbers: Sequence[int], ahead: int = 1) -> Iterator[int]:
+        for number in super().run(task, numbers, ahead):
+            self.done += 1
+            if self.done == 3:
+                kill_a_worker(self.cluster)
+            yield number
+
+
+@CAN_KILL
+def test_networks_of_a_model_lose_nothing_with_a_worker(cluster: Any, tmp_path: Path) -> None:
+    data: Any = memory_dataset(per_clip=6)
+    config = TrainConfig(
+        clusters=16, latents=3, neurons=6, features="joint_angles", iterations=20, alpha=1e-2,
+        networks=3,
+    )  # fmt: skip
+    tasks = Deadly(cluster)
+    with fits_elsewhere(tasks, tmp_path / "fits"):
+        train(data, config).save(tmp_path / "far")
+    train(data, config).save(tmp_path / "here")
+    assert (tmp_path / "far").read_bytes() == (tmp_path / "here").read_bytes()
+    assert tasks.done == 3 * 4  # four blocks of every network
+
+
+def test_train_on_a_cluster(cluster: Any, scene: Path, tmp_path: Path) -> None:
+    data, out = tmp_path / "a.zarr", tmp_path / "a.safetensors"
+    generate(read_scene(scene), dataclasses.replace(CONFIG, count=5), data)
+    words = ["train", str(data), "--preset", "small", "--alpha", "0.01", "--iterations", "9"]
+    words += ["--threads", "1"]
+    address = ["--cluster", cluster.scheduler_address, "--quiet"]
+    assert run([*words, *address, "--out", str(out)]) == 0
+    assert run([*words, "--quiet", "--out", str(tmp_path / "b.safetensors")]) == 0
+    assert out.read_bytes() == (tmp_path / "b.safetensors").read_bytes()
+    assert len(list(tmp_path.iterdir())) == 3
+    assert run([*words, *address, "--kind", "linear", "--out", str(out)]) == 2
+
+
+@dataclass(frozen=True)
+class Nothing:
+    def __call__(self, number: int, pool: Executor) -> None:
+        pass
+
+
+def test_workers_with_other_versions_are_told(cluster: Any) -> None:
+    tasks = Cluster(cluster.scheduler_address, ["numpy"])
+    assert list(tasks.run(Nothing(), [3])) == [3]
+    for name, here in (("numpy", version("numpy")), ("no-such-package", "not there")):
+        tasks.made = (("python", platform.python_version()), (name, "0.1"))
+        wanted = f"--cluster: {name} is {here} on a worker and 0.1 here; make them the same"
+        with pytest.raises(PrtnetError, match=re.escape(wanted)):
+            list(tasks.run(Nothing(), [3]))
