@@ -41,6 +41,6 @@ def needed(requirements: list[str], python: str) -> set[str]:
                 asked += [(line, each) for line in metadata.requires(name) or ()]
             except metadata.PackageNotFoundError:
                 raise SystemExit(
-                    f"{name}: is needed on Python {python} and not installed; run make .venv first"
+                    f"{name}: is needed on Python {python} and not installed; install it"
                 ) from None
     return {name for name, _ in found}

@@ -57,7 +57,7 @@ NOTES = {
     "pyopengl": "says 'BSD License' and brings no text; imgui-bundle asks for it",
     "scikit-learn": RUNTIMES,
     "scipy": RUNTIMES,
-    "torch": RUNTIMES,
+    "torch": f"{RUNTIMES}; wheels with CUDA ask for NVIDIA's libraries, under NVIDIA's own licence",
 }
 # Libraries in wheels whose licence asks for more than a notice.
 COPYLEFT = re.compile(
