@@ -40,7 +40,18 @@ from runtime.viewer import Desk, Viewer
 from tests.models import random_model
 from tests.priors import random_prior
 from tests.runtime.test_posed_surface import modelled
-from tests.runtime.windows import SIZE, drag, press, read, save, send, sized
+from tests.runtime.windows import (
+    SIZE,
+    choose,
+    click,
+    drag,
+    noted,
+    press,
+    read,
+    save,
+    send,
+    sized,
+)
 
 pytestmark = [
     pytest.mark.gl,
@@ -173,39 +184,13 @@ def test_the_panel_draws_and_explains_the_keys(viewer):
     assert viewer.window.buffer_size == (200, 150)
 
 
-def click(viewer: Viewer, x: float, y: float) -> None:
-    """Press and release the left button at a place from the top left; frames in between."""
-    from pyglet.window import mouse
-
-    up = viewer.window.size[1] - 1 - round(y)
-    send(viewer, "on_mouse_motion", round(x), up, 0, 0)
-    viewer.step(0.02)
-    for kind in ("on_mouse_press", "on_mouse_release"):
-        send(viewer, kind, round(x), up, mouse.LEFT, 0)
-        viewer.step(0.02)
-
-
 def test_sliders_of_the_panel_are_moved_by_the_mouse(viewer, monkeypatch):
     """Split, share of the blend, turn and lobes of light, factors, a parameter of the BRDF."""
     view, imgui, size = viewer.view, viewer.imgui, (900, 1000)
     viewer.window._window.set_size(*size)
     send(viewer, "on_resize", *size)
     view.blend_clip, view.blend = "bend", 0.5
-    places: dict[str, Any] = {}
-
-    def noting(draw):
-        def noted(label, *given):
-            found = draw(label, *given)
-            low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-            places[label] = low.x, high.x, 0.5 * (low.y + high.y)
-            return found
-
-        return noted
-
-    for name in ("slider_float", "slider_int"):
-        monkeypatch.setattr(imgui, name, noting(getattr(imgui, name)))
-    for _ in range(3):  # until the panel has its size
-        viewer.step(0.02)
+    places = noted(viewer, monkeypatch, "slider_float", "slider_int")
 
     def slide(label: str, share: float) -> None:
         left, right, y = places[label]
@@ -235,6 +220,40 @@ def test_sliders_of_the_panel_are_moved_by_the_mouse(viewer, monkeypatch):
         "split", "blend", "light_turn", "factors", "exposure", "brdf", "time",
     }  # fmt: skip
     assert viewer.message == ""
+
+
+def test_lists_of_the_panel_are_opened_and_chosen_from_by_the_mouse(viewer, monkeypatch):
+    view, scene, size = viewer.view, viewer.show.actor.scene, (900, 1000)
+    fold = dataclasses.replace(scene.clip("bend"), name="fold", start=1.5)
+    object.__setattr__(scene, "clips", (*scene.clips, fold))
+    viewer.window._window.set_size(*size)
+    send(viewer, "on_resize", *size)
+    view.split, view.right = 0.5, "open"
+    places = noted(viewer, monkeypatch, "combo")
+
+    def settled() -> tuple[dict[str, Any], np.ndarray]:
+        viewer.show.truth(view, wait=True)
+        viewer.show.operator(view, wait=True)
+        return dataclasses.asdict(view), read(viewer)
+
+    before, picture = settled()
+    for label, line, changes in (
+        ("clip", 1, {"clip": "fold", "time": 1.5}),
+        ("blend with", 1, {"blend_clip": "bend", "blend_time": 0.0, "blend": 0.5}),
+        ("order", 2, {"order": 2}),
+        ("light", 1, {"light": "sky"}),
+        ("lobes", 2, {"lobes": 1}),
+        ("BRDF", 1, {"brdf": "gold"}),
+        ("beside", 4, {"right": "ambient"}),
+        ("shown", 5, {"left": "error"}),
+    ):
+        choose(viewer, places[label], line)
+        after, seen = settled()
+        assert after == before | changes, label
+        assert np.abs(seen - picture).max() > 5, label
+        before, picture = after, seen
+    choose(viewer, places["blend with"], 0)  # none
+    assert (view.blend_clip, viewer.message) == ("", "")
 
 
 def whole_window(viewer: Viewer) -> np.ndarray:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
-__all__ = ["SIZE", "drag", "press", "read", "save", "send", "sized"]
+__all__ = ["SIZE", "choose", "click", "drag", "noted", "press", "read", "save", "send", "sized"]
 
 SIZE = (160, 120)
 Viewer = Any  # any ``runtime.base_viewer.BaseViewer``
@@ -45,6 +46,53 @@ def drag(viewer: Viewer, button: str, right: int, up: int) -> None:
         ("on_mouse_release", (pressed, 0)),
     ):
         send(viewer, kind, 150, 10, *rest)
+
+
+def click(viewer: Viewer, x: float, y: float) -> None:
+    """Press and release the left button at a place from the top left; frames in between."""
+    from pyglet.window import mouse
+
+    up = viewer.window.size[1] - 1 - round(y)
+    send(viewer, "on_mouse_motion", round(x), up, 0, 0)
+    viewer.step(0.02)
+    for kind in ("on_mouse_press", "on_mouse_release"):
+        send(viewer, kind, round(x), up, mouse.LEFT, 0)
+        viewer.step(0.02)
+
+
+def noted(viewer: Viewer, patch: pytest.MonkeyPatch, *kinds: str) -> dict[str, Any]:
+    """Where in the panel its items of some kinds are by their labels, from now on.
+
+    Left and right end and the middle of the height, from the top left of the window.
+    """
+    imgui, places = viewer.imgui, dict[str, Any]()
+
+    def noting(draw: Any) -> Any:
+        def drawn(label: str, *given: Any) -> Any:
+            found = draw(label, *given)
+            low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+            places[label] = low.x, high.x, 0.5 * (low.y + high.y)
+            return found
+
+        return drawn
+
+    for kind in kinds:
+        patch.setattr(imgui, kind, noting(getattr(imgui, kind)))
+    for _ in range(3):  # until the panel has its size
+        viewer.step(0.02)
+    return places
+
+
+def choose(viewer: Viewer, place: Any, line: int) -> None:
+    """Open the list that is at a place and click on one of its lines."""
+    imgui = viewer.imgui
+    click(viewer, place[0] + 10, place[2])
+    opened, style = imgui.internal.find_window_by_name("##Combo_00"), imgui.get_style()
+    assert opened.active
+    top = opened.pos.y + style.window_padding.y
+    click(viewer, opened.pos.x + 20, top + (line + 0.4) * imgui.get_text_line_height_with_spacing())
+    viewer.step(0.02)
+    assert not opened.active
 
 
 def read(viewer: Viewer) -> np.ndarray:
