@@ -11,7 +11,7 @@ __all__ = ["QUICK_EDGE", "demo_steps"]
 DEMO_EFFORT = ["--fps", "8", "--rays", "256", "--sample", "150"]
 DEMO_FIT = ["--preset", "small"]
 QUICK_EFFORT = ["--fps", "2", "--rays", "32", "--sample", "8"]
-QUICK_FIT = [*DEMO_FIT, "--clusters", "4"]
+QUICK_FIT = [*DEMO_FIT, "--clusters", "4", "--threads", "1"]  # too small for more threads
 QUICK_EDGE = 0.06  # of the character's mesh, metres
 
 

@@ -24,7 +24,7 @@ from runtime.picture import develop
 from runtime.rasteriser import rasterise
 from tests.all_frequency import ball, random_field
 from tests.runtime.test_all_frequency_shot import on_ground
-from tests.runtime.windows import SIZE, press, sized
+from tests.runtime.windows import SIZE, choose_from_lists, press, sized
 
 pytestmark = [
     pytest.mark.gl,
@@ -109,6 +109,16 @@ def test_some_wavelets_of_the_light(viewer):
     view.keep = 3
     assert np.abs(viewer.pixels().astype(int) - whole).max() > 10
     viewer.step(0.0)  # with its slider
+
+
+def test_lists_of_the_panel_are_opened_and_chosen_from_by_the_mouse(viewer, monkeypatch):
+    viewer.view.split, viewer.view.right, viewer.view.keep = 0.5, "some", 3
+    choices = (
+        ("light", 1, {"light": "sky"}),
+        ("shown", 2, {"left": "low"}),
+        ("beside", 0, {"right": "all"}),
+    )
+    choose_from_lists(viewer, monkeypatch, choices)
 
 
 def test_the_light_turns_while_time_goes_on(viewer):

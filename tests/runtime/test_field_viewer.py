@@ -30,7 +30,17 @@ from runtime.field_viewer import FieldDesk, FieldViewer
 from runtime.picture import develop
 from runtime.worn import PERIOD, Worn
 from tests.runtime.test_lobe_stage import bumpy
-from tests.runtime.windows import SIZE, drag, press, read, save, send, sized
+from tests.runtime.windows import (
+    SIZE,
+    choose,
+    choose_from_lists,
+    drag,
+    press,
+    read,
+    save,
+    send,
+    sized,
+)
 
 pytestmark = [
     pytest.mark.gl,
@@ -186,6 +196,25 @@ def test_the_panel_draws_and_moves_nothing(viewer):
     arm_viewer.step(0.02)
     assert arm_viewer.view.time == 0.0
     arm_viewer.release()
+
+
+def test_lists_of_the_panel_are_opened_and_chosen_from_by_the_mouse(viewer, monkeypatch):
+    viewer.view.split, viewer.view.right = 0.5, "one lobe"
+    choices = (
+        ("light", 1, {"light": "sky"}),
+        ("shown", 2, {"left": "harmonics"}),
+        ("beside", 0, {"right": "lobes"}),
+    )
+    places, asked = choose_from_lists(viewer, monkeypatch, choices), []
+
+    def opened(field: Path, on: str | None) -> FieldCast:
+        asked.append((field, on))
+        return on_arm()
+
+    viewer.desk.open_files = opened
+    choose(viewer, places["on"], 1)
+    assert asked == [(Path("a.safetensors"), "plane")]
+    assert viewer.show.cast.worn.name == "arm"
 
 
 def test_what_cannot_be_shown_is_told_and_taken_back(viewer):

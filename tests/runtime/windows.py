@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -93,6 +95,34 @@ def choose(viewer: Viewer, place: Any, line: int) -> None:
     click(viewer, opened.pos.x + 20, top + (line + 0.4) * imgui.get_text_line_height_with_spacing())
     viewer.step(0.02)
     assert not opened.active
+
+
+def choose_from_lists(
+    viewer: Viewer,
+    patch: pytest.MonkeyPatch,
+    choices: Sequence[tuple[str, int, dict[str, Any]]],
+    settle: Callable[[], object] = lambda: None,
+) -> dict[str, Any]:
+    """Lists by label, the line that is clicked in each, and what that must change of the view.
+
+    All of it and nothing else, and the picture with it, once that has settled. Gives the places of
+    the lists.
+    """
+    size = (400, 700)  # the panel fits
+    viewer.show.screen.samples = 0
+    viewer.window._window.set_size(*size)
+    send(viewer, "on_resize", *size)
+    places = noted(viewer, patch, "combo")
+    settle()
+    before, picture = dataclasses.asdict(viewer.view), read(viewer)
+    for label, line, changes in choices:
+        choose(viewer, places[label], line)
+        settle()
+        after, seen = dataclasses.asdict(viewer.view), read(viewer)
+        assert after == before | changes, label
+        assert np.abs(seen - picture).max() > 5, label
+        before, picture = after, seen
+    return places
 
 
 def read(viewer: Viewer) -> np.ndarray:
