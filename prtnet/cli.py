@@ -280,13 +280,13 @@ def render(argv: Sequence[str]) -> None:
     """Draw pictures or a movie of a posed scene, or of a baked field, without a window."""
     if by_kind(argv, render_field, render_all_frequency):
         return
-    from prtnet.cli_arguments import check_output, input_file
+    from prtnet.cli_arguments import check_output, input_file, named_options
     from prtnet.cli_options import RenderOptions
+    from prtnet.cli_render import check_options, make_picture
 
     options, session = arguments("render", argv, RenderOptions)
+    check_options(options, named_options(argv))
     check_output(options.out, input_file(options.model), input_file(options.scene))
-
-    from prtnet.cli_render import make_picture
 
     session.finish(make_picture(options, threads(options.threads), session.console))
 
@@ -304,10 +304,12 @@ def render_field(argv: Sequence[str]) -> None:
 
 def render_all_frequency(argv: Sequence[str]) -> None:
     """Draw an object with all-frequency transfer."""
-    from prtnet.cli_arguments import check_output
+    from prtnet.cli_arguments import check_output, named_options, refuse
+    from prtnet.cli_options import NO_MOVIE
     from prtnet.cli_render_all_frequency import AllFrequencyOptions, make_all_frequency_pictures
 
     options, session = arguments("render", argv, AllFrequencyOptions)
+    refuse(named_options(argv), {} if options.moving else {"fps": NO_MOVIE})
     check_output(options.out, *options.inputs())
     work = threads(options.threads), session.console
     session.finish(make_all_frequency_pictures(options, *work))

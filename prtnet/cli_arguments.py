@@ -11,7 +11,7 @@ import contextlib
 import dataclasses
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
@@ -27,6 +27,7 @@ __all__ = [
     "named_options",
     "output_folder",
     "parse",
+    "refuse",
     "value_of",
 ]
 
@@ -127,6 +128,21 @@ def named_options(argv: Sequence[str]) -> dict[str, str]:
     """The options that are given, whatever their values, as fields and as they are written."""
     words = (word.partition("=")[0] for word in argv if word.startswith("--"))
     return {word[2:].replace("-", "_"): word for word in words}
+
+
+def refuse(named: Mapping[str, str], whys: Mapping[str, str]) -> None:
+    """Refuse options that are given and would do nothing.
+
+    Args:
+        named: those that are given, as ``named_options`` tells.
+        whys: why each that would do nothing does not, and what to do.
+
+    Raises:
+        PrtnetError: one is given.
+    """
+    for name, why in whys.items():
+        if name in named:
+            raise PrtnetError(named[name], why)
 
 
 def side_by_side(parts: Sequence[Any]) -> Any:

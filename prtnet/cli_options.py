@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,12 +17,17 @@ from prtnet.limits import (
     MOST_FPS,
     MOST_LIGHT_LOBES,
     MOST_PIXELS,
+    MOST_RAYS,
     MOST_SPIN,
+    MOST_THREADS,
     check_side,
+    check_within,
 )
 from prtnet.storage import Storage
 
 __all__ = [
+    "CAMERA_BOUNDS",
+    "NO_MOVIE",
     "Common",
     "DemoOptions",
     "EvaluateOptions",
@@ -33,29 +39,48 @@ __all__ = [
     "TrainOptions",
     "ViewOptions",
     "blend_of",
+    "check_bounds",
+    "check_pictures",
     "fraction_of",
 ]
 
 
 Look = Literal["prediction", "truth", "visibility", "open", "ambient", "error"]
-RENDER_LEAST = {
-    "rays": 1, "threads": 1, "lobes": 0, "order": 1, "factors": 1, "light_turn": -1e6, "dering": 0,
-    "spin": 1, "fps": 1, "split": 0, "vertex": 0, "azimuth": -1e6, "elevation": -89, "zoom": 0.1,
-    "exposure": -20,
+VIEW_BOUNDS = {
+    "lobes": (0, MOST_LIGHT_LOBES), "factors": (1, MOST_FACTORS), "order": (1, math.inf),
+    "rays": (1, MOST_RAYS), "threads": (1, MOST_THREADS),
 }  # fmt: skip
+CAMERA_BOUNDS = {
+    "light_turn": (-1e6, 1e6), "azimuth": (-1e6, 1e6), "elevation": (-89, 89), "zoom": (0.1, 100),
+    "exposure": (-20, 20), "spin": (1, MOST_SPIN), "fps": (1, MOST_FPS),
+    "threads": (1, MOST_THREADS),
+}  # fmt: skip
+RENDER_BOUNDS = {**VIEW_BOUNDS, **CAMERA_BOUNDS, "dering": (0, 1e6), "split": (0, 1),
+                 "vertex": (0, math.inf)}  # fmt: skip
+NO_MOVIE = "is of movies; leave it out, or end --out in .mp4"  # --fps, of a picture
 
 
-def at_least(option: str, value: float | None, least: float) -> None:
-    """Refuse a number that is too small, or none."""
-    if value is not None and not (value >= least and math.isfinite(value)):
-        raise PrtnetError(option, f"is {value:g}; it must be a number, at least {least:g}")
+def check_bounds(options: object, bounds: Mapping[str, tuple[float, float]]) -> None:
+    """Refuse numbers outside of the bounds of their options.
+
+    Raises:
+        PrtnetError: there is one.
+    """
+    for name, (least, most) in bounds.items():
+        check_within(f"--{name.replace('_', '-')}", getattr(options, name), least, most)
 
 
-def fits_a_shader(lobes: int | None, factors: int) -> None:
-    """Refuse more of either than shaders are made for."""
-    if (lobes or 0) > MOST_LIGHT_LOBES or factors > MOST_FACTORS:
-        most = f"{MOST_LIGHT_LOBES}, {MOST_FACTORS}"
-        raise PrtnetError("--lobes and --factors", f"are at most {most}")
+def check_pictures(out: Path, spin: int | None, time: float | None = None) -> None:
+    """Refuse a name that is no picture's or movie's, and a moment in a movie of a whole clip.
+
+    Raises:
+        PrtnetError: it is.
+    """
+    if out.suffix.lower() not in (".png", ".mp4"):
+        raise PrtnetError(out, "is no name of a PNG picture or of a movie; end it in .png or .mp4")
+    if out.suffix.lower() == ".mp4" and time is not None and spin is None:
+        told = "has no place in a movie of a whole clip; leave it out, or add --spin"
+        raise PrtnetError("--time", told)
 
 
 def fraction_of(option: str, text: str | None) -> float | None:
@@ -135,7 +160,7 @@ class TrainOptions:
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        at_least("--threads", self.threads, 1)
+        check_within("--threads", self.threads, 1, MOST_THREADS)
 
 
 @dataclass(frozen=True)
@@ -152,9 +177,8 @@ class EvaluateOptions:
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        at_least("--fps", self.fps, 0.01)
-        at_least("--rays", self.rays, 1)
-        at_least("--threads", self.threads, 1)
+        bounds = {"fps": (0.01, 1e6), "rays": (1, MOST_RAYS), "threads": (1, MOST_THREADS)}
+        check_bounds(self, bounds)
 
 
 @dataclass(frozen=True)
@@ -179,7 +203,9 @@ class RenderOptions:
     light: str = "studio"  # an .hdr or .exr picture of a light, or the name of a preset
     light_turn: float = 0.0  # turn the light about the vertical by so many degrees
     dering: float = 0.0  # take ripples off a small bright light: 0.01 is mild, 0.1 strong
-    lobes: int | None = None  # zonal lobes of the light, a colour; 0 for exactly; what it needs
+    # zonal lobes of the light, a colour; 0 for as many as hold it exactly; when not given few, if
+    # they hold it
+    lobes: int | None = None
     order: int | None = None  # bands of light and visibility to show; the model's when not given
     # material: a preset, a BRDF as ggx:roughness=0.3, a MERL .binary file, or of models of lobes
     # lobe:exponent=20,transmitted=0.2
@@ -208,24 +234,9 @@ class RenderOptions:
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        for option, least in RENDER_LEAST.items():
-            at_least(f"--{option.replace('_', '-')}", getattr(self, option), least)
-        if (self.spin or 1) > MOST_SPIN:
-            raise PrtnetError("--spin", f"is too many; give at most {MOST_SPIN} pictures")
-        if self.split > 1.0 or abs(self.elevation) > 89.0:
-            raise PrtnetError("--split and --elevation", "are at most 1, and 89 degrees")
-        if self.fps > MOST_FPS or self.zoom > 100.0 or self.exposure > 20.0:
-            raise PrtnetError("--fps, --zoom and --exposure", "are at most 240, 100 and 20")
+        check_bounds(self, RENDER_BOUNDS)
         blend_of(self.blend)
-        fits_a_shader(self.lobes, self.factors)
-        if self.out.suffix.lower() not in (".png", ".mp4"):
-            raise PrtnetError(
-                self.out, "is no name of a PNG picture or of a movie; end it in .png or .mp4"
-            )
-        if self.moving and self.time is not None and self.spin is None:
-            raise PrtnetError(
-                "--time", "has no place in a movie of a whole clip; leave it out, or add --spin"
-            )
+        check_pictures(self.out, self.spin, self.time)
         if self.compare is not None and (self.show != "prediction" or self.beside is not None):
             raise PrtnetError("--compare", "shows the prediction; leave out --show and --beside")
         check_side("--size", self.size, MOST_PIXELS)
@@ -254,16 +265,8 @@ class ViewOptions:
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        at_least("--rays", self.rays, 1)
-        at_least("--threads", self.threads, 1)
-        at_least("--lobes", self.lobes, 0)
-        at_least("--order", self.order, 1)
-        at_least("--factors", self.factors, 1)
-        at_least("--copies", self.copies, 1)
-        if self.copies > MOST_COPIES:
-            raise PrtnetError("--copies", f"are {self.copies}; at most {MOST_COPIES} are drawn")
+        check_bounds(self, VIEW_BOUNDS | {"copies": (1, MOST_COPIES)})
         blend_of(self.blend)
-        fits_a_shader(self.lobes, self.factors)
         check_side("--size", self.size, MOST_PIXELS)
 
 
@@ -281,7 +284,7 @@ class ReportOptions:
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        at_least("--threads", self.threads, 1)
+        check_within("--threads", self.threads, 1, MOST_THREADS)
         if self.out.suffix.lower() not in (".html", ".htm"):
             raise PrtnetError(self.out, "is no name of a page; end it in .html")
 

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from prtnet.brdf import Lambert
-from prtnet.cli_options import blend_of
+from prtnet.cli_arguments import refuse
+from prtnet.cli_options import NO_MOVIE, blend_of
 from prtnet.environment import Environment, environment
 from prtnet.errors import PrtnetError
 from prtnet.materials import brdf_named, material
@@ -35,7 +36,26 @@ if TYPE_CHECKING:
     from runtime.reel import Frame
     from runtime.shot import Posed, Shot
 
-__all__ = ["make_picture", "order_of", "staged", "tracers"]
+__all__ = ["check_options", "make_picture", "order_of", "staged", "tracers"]
+
+
+def check_options(options: RenderOptions, named: Mapping[str, str]) -> None:
+    """Refuse options that would do nothing.
+
+    Args:
+        options: all of them.
+        named: those that are given, as ``prtnet.cli_arguments.named_options`` tells.
+
+    Raises:
+        PrtnetError: one is given.
+    """
+    traced = options.compare or {options.show, options.beside} & {"truth", "visibility", "error"}
+    whys = {} if options.moving else {"fps": NO_MOVIE}
+    if options.beside is None:
+        whys["split"] = "is of what is shown beside; leave it out, or add --beside"
+    if not traced:
+        whys["rays"] = "are of what is traced; leave it out, or add --compare truth"
+    refuse(named, whys)
 
 
 def make_picture(options: RenderOptions, threads: int, console: Console) -> dict[str, Any]:

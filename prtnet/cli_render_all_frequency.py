@@ -16,10 +16,11 @@ import numpy as np
 from tyro.conf import Positional
 
 from prtnet.all_frequency_file import facts, load_fields
+from prtnet.cli_options import CAMERA_BOUNDS, check_bounds, check_pictures
 from prtnet.cube_map import segment_coefficients
 from prtnet.environment import about_up, environment
 from prtnet.errors import PrtnetError
-from prtnet.limits import MOST_PIXELS, MOST_THREADS, check_side, check_within
+from prtnet.limits import MOST_PIXELS, check_side
 from prtnet.truncation import area_weights, transfer_weights, truncated
 from prtnet.turning_light import TurningLight
 
@@ -31,9 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["AllFrequencyOptions", "make_all_frequency_pictures"]
 
 SAMPLES = 4  # a pixel
-BOUNDS = {"keep": (1, 1e6), "light_turn": (-1e6, 1e6), "azimuth": (-1e6, 1e6),
-          "elevation": (-89, 89), "zoom": (0.1, 100), "exposure": (-20, 20), "spin": (1, 999),
-          "fps": (1, 240), "threads": (1, MOST_THREADS)}  # fmt: skip
+BOUNDS = CAMERA_BOUNDS | {"keep": (1, 1e6)}
 
 
 @dataclass(frozen=True)
@@ -61,12 +60,9 @@ class AllFrequencyOptions:
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        for option, bounds in BOUNDS.items():
-            check_within(f"--{option.replace('_', '-')}", getattr(self, option), *bounds)
+        check_bounds(self, BOUNDS)
         check_side("--size", self.size, MOST_PIXELS)
-        if self.out.suffix.lower() not in (".png", ".mp4"):
-            what = "is no name of a PNG picture or of a movie; end it in .png or .mp4"
-            raise PrtnetError(self.out, what)
+        check_pictures(self.out, self.spin)
         if self.keep is None and self.keep_by != "magnitude":
             raise PrtnetError("--keep", "is missing: say how many wavelets of the light are kept")
         if self.spin is None and (self.moving or self.spins == "light"):

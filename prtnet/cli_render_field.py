@@ -17,18 +17,11 @@ import numpy as np
 from tyro.conf import Positional
 
 from prtnet.array_file import LOBES, header_key
+from prtnet.cli_arguments import refuse
+from prtnet.cli_options import CAMERA_BOUNDS, NO_MOVIE, check_bounds, check_pictures
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
-from prtnet.limits import (
-    MOST_FPS,
-    MOST_LOBES,
-    MOST_PIXELS,
-    MOST_REPEAT,
-    MOST_SPIN,
-    MOST_THREADS,
-    check_side,
-    check_within,
-)
+from prtnet.limits import MOST_LOBES, MOST_PIXELS, MOST_REPEAT, check_side
 
 if TYPE_CHECKING:
     from data_gen.static_mesh import StaticMesh
@@ -51,10 +44,8 @@ __all__ = [
 ]
 
 BUILT_IN = ("vase", "plane")
-LEAST = {"light_turn": -1e6, "dering": 0, "twist": -1e6, "azimuth": -1e6, "elevation": -89,
-         "zoom": 0.1, "exposure": -20}  # fmt: skip
-MOST = {"light_turn": 1e6, "dering": 1e6, "twist": 1e6, "azimuth": 1e6, "elevation": 89,
-        "zoom": 100, "exposure": 20}  # fmt: skip
+BOUNDS = CAMERA_BOUNDS | {"dering": (0, 1e6), "twist": (-1e6, 1e6), "repeat": (1, MOST_REPEAT),
+                          "lobes": (1, MOST_LOBES)}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,21 +77,9 @@ class FieldOptions:
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        for option, least in LEAST.items():
-            name = f"--{option.replace('_', '-')}"
-            check_within(name, getattr(self, option), least, MOST[option])
-        check_within("--repeat", self.repeat, 1, MOST_REPEAT)
-        check_within("--lobes", self.lobes, 1, MOST_LOBES)
-        check_within("--threads", self.threads, 1, MOST_THREADS)
+        check_bounds(self, BOUNDS)
         check_side("--size", self.size, MOST_PIXELS)
-        check_within("--spin", self.spin, 1, MOST_SPIN)
-        check_within("--fps", self.fps, 1, MOST_FPS)
-        if self.out.suffix.lower() not in (".png", ".mp4"):
-            told = "is no name of a PNG picture or of a movie; end it in .png or .mp4"
-            raise PrtnetError(self.out, told)
-        if self.playing and self.time is not None:
-            told = "has no place in a movie of a whole clip; leave it out, or add --spin"
-            raise PrtnetError("--time", told)
+        check_pictures(self.out, self.spin, self.time)
 
     @property
     def playing(self) -> bool:
@@ -140,9 +119,9 @@ def check_options(
         whys["lobes"] = "are fitted already; leave it out, or name the transfer they were fitted to"
     elif options.lobes is None:
         whys["form"] = "is of lobes; add --lobes, or leave it out"
-    for name, why in whys.items():
-        if name in named:
-            raise PrtnetError(named[name], why)
+    if options.out.suffix.lower() != ".mp4":
+        whys["fps"] = NO_MOVIE
+    refuse(named, whys)
     if fitted or options.lobes is not None:
         return
     if options.renderer == "gl":

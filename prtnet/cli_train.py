@@ -13,6 +13,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from prtnet.cli_arguments import refuse
 from prtnet.errors import PrtnetError
 from prtnet.limits import MOST_LOBES, check_within
 
@@ -53,9 +54,7 @@ def check_lobe_options(config: TrainConfig, named: Mapping[str, str]) -> None:
         whys["leading"] = "needs --regressor quadratic; add it, or leave this out"
     if regression == "neural":
         whys["smoothness"] = "is of --regressor linear and quadratic; leave it out"
-    for name, why in whys.items():
-        if name in named:
-            raise PrtnetError(named[name], why)
+    refuse(named, whys)
 
 
 def check_cluster(

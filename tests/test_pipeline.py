@@ -299,8 +299,8 @@ def test_lobes_have_an_exponent_of_their_own(work: Path, tmp_path: Path, rendere
         ("--brdf", "ggx:roughness=7", "at most 1"),
         ("--brdf", "lobe", "of models that --kind lobes trained"),
         ("--light", "moon", "neither a file nor a preset"),
-        ("--lobes", "-1", "at least 0"),
-        ("--lobes", "12", "at most 11"),
+        ("--lobes", "-1", "from 0 to 11"),
+        ("--lobes", "12", "from 0 to 11"),
         ("--factors", "99", "64"),
         ("--order", "0", "at least 1"),
         ("--order", "9", "has 4 bands"),
@@ -310,10 +310,13 @@ def test_lobes_have_an_exponent_of_their_own(work: Path, tmp_path: Path, rendere
         ("--blend", "bend:1:2", "from 0 to 1"),
         ("--blend", "bend:9:0.5", "0 to 4 s"),
         ("--blend", "bnd:1:0.5", "has no clip"),
-        ("--split", "1.5", "at most 1"),
+        ("--split", "1.5", "from 0 to 1"),
         ("--elevation", "90", "89"),
-        ("--zoom", "0", "at least 0.1"),
-        ("--fps", "0", "at least 1"),
+        ("--zoom", "0", "from 0.1 to 100"),
+        ("--fps", "0", "from 1 to 240"),
+        ("--fps", "12", "is of movies"),
+        ("--split", "0.3", "add --beside"),
+        ("--rays", "8", "add --compare truth"),
         ("--show", "shadow", "prediction"),
     ],
 )
@@ -357,21 +360,21 @@ def test_pictures_all_around(work: Path, tmp_path: Path) -> None:
 
 def test_a_picture_of_everything_a_viewer_shows(work: Path, tmp_path: Path) -> None:
     scene = work / "arm.safetensors", work / "arm.glb"
-    options = ("--size", "80x60", "--renderer", "cpu", "--rays", "32", "--quiet", "--time", "2")
+    options = ("--size", "80x60", "--renderer", "cpu", "--quiet", "--time", "2")
     options += ("--brdf", "phong:exponent=9")
+    rays = "--rays", "32"
     looks: dict[str, tuple[str, ...]] = {
-        mode: ("--show", mode)
-        for mode in ("prediction", "truth", "visibility", "open", "ambient", "error")
-    }
+        mode: ("--show", mode) for mode in ("prediction", "open", "ambient")
+    } | {mode: ("--show", mode, *rays) for mode in ("truth", "visibility", "error")}
     looks |= {
         "blend": ("--blend", "bend:0:0.5"),
         "order": ("--order", "1"),
         "vertex": ("--vertex", "30"),
-        "traced": ("--vertex", "30", "--show", "visibility"),
+        "traced": ("--vertex", "30", "--show", "visibility", *rays),
         "camera": ("--azimuth", "120", "--elevation", "40"),
         "zoom": ("--zoom", "1.5"),
         "exposure": ("--exposure", "-2"),
-        "split": ("--beside", "error", "--split", "0.25"),
+        "split": ("--beside", "error", "--split", "0.25", *rays),
     }
     pictures = {}
     for name, look in looks.items():

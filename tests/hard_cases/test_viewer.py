@@ -96,9 +96,11 @@ def test_under_a_black_light_the_character_is_black(files, tmp_path, renderer):
     """Also beside its truth, and with nothing to choose an exposure by."""
     write(tmp_path / "night.exr", {"RGB": np.zeros((8, 16, 3), np.float32)})
     out = tmp_path / "frame.png"
-    words = ("--light", str(tmp_path / "night.exr"), "--size", "64x48", "--rays", "16",
-             "--renderer", renderer, "--quiet")  # fmt: skip
-    for more in ((), ("--beside", "truth"), ("--compare", "truth"), ("--brdf", "gold")):
+    words = ("--light", str(tmp_path / "night.exr"), "--size", "64x48", "--renderer", renderer,
+             "--quiet")  # fmt: skip
+    rays = "--rays", "16"
+    looks = (), ("--beside", "truth", *rays), ("--compare", "truth", *rays), ("--brdf", "gold")
+    for more in looks:
         assert run(["render", *files, "--out", str(out), *words, *more]) == 0
         picture = np.asarray(Image.open(out)).astype(int)
         assert (picture[:48, :64].max(axis=-1) == 0).mean() > 0.02
