@@ -11,7 +11,7 @@ products.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +27,7 @@ from prtnet.frames import orthonormal_frames
 from prtnet.octahedral import grid_of, looked_up
 from prtnet.transfer import Surface
 
-__all__ = ["SAMPLES", "ground", "transfer_segments"]
+__all__ = ["SAMPLES", "SegmentMaker", "ground", "transfer_segments"]
 
 SAMPLES = 4  # directions of a texel, a side
 AROUND = 4  # cells a side that a hat reaches: two of its own texel, one on either side
@@ -59,39 +59,50 @@ def transfer_segments(
     Raises:
         ValueError: visibility is of other vertices, or its faces have no quarters.
     """
-    size, rest = divmod(visibility.size, SAMPLES)
-    if len(visibility) != len(surface):
-        raise ValueError(f"visibility of {len(visibility)} vertices, not {len(surface)}")
-    if rest or size % 2:
-        raise ValueError(f"faces of {visibility.size} directions a side have no quarters")
-    frames = orthonormal_frames(surface.tangents, surface.normals).astype(np.float32)
-    table = None if light.light is None else factor_table(light)
-    quarters = [Quarter.of(size, 2 * row + column) for row in range(2) for column in range(2)]
-    parts = [slice(start, start + BLOCK) for start in range(0, len(surface), BLOCK)]
+    maker = SegmentMaker(surface, visibility, light)
     with ThreadPoolExecutor(threads) as pool:
         for segment in range(SEGMENTS):
-            quarter = quarters[segment % 4]
-            found = np.zeros((len(surface), light.rows, quarter.texels), dtype=np.float32)
-            towards = quarter.towards[segment // 4]
-
-            def one(
-                part: slice,
-                found: FloatArray = found,
-                quarter: Quarter = quarter,
-                towards: FloatArray = towards,
-                face: int = segment // 4,
-            ) -> None:
-                ways = quarter.ways(visibility, part, face)
-                reached = np.flatnonzero(ways.any(axis=1))
-                if len(reached):
-                    own = frames[part][reached]
-                    values = light_values(own, towards, table)
-                    found[part][reached] = quarter.summed(ways[reached], values)
-
-            for _ in pool.map(one, parts):
-                pass
+            found = maker(segment, pool)
             report("segments", segment + 1, SEGMENTS)
             yield found
+            del found  # before the next is made
+
+
+class SegmentMaker:
+    """Makes the raw transfer of any segment; arguments as of :func:`transfer_segments`."""
+
+    def __init__(self, surface: Surface, visibility: CubeVisibility, light: RowFactors) -> None:
+        size, rest = divmod(visibility.size, SAMPLES)
+        if len(visibility) != len(surface):
+            raise ValueError(f"visibility of {len(visibility)} vertices, not {len(surface)}")
+        if rest or size % 2:
+            raise ValueError(f"faces of {visibility.size} directions a side have no quarters")
+        frames = orthonormal_frames(surface.tangents, surface.normals)
+        self.frames, self.visibility = frames.astype(np.float32), visibility
+        self.table = None if light.light is None else factor_table(light)
+        self.rows = light.rows
+        self.quarters = [
+            Quarter.of(size, 2 * row + column) for row in range(2) for column in range(2)
+        ]
+
+    def __call__(self, segment: int, pool: Executor) -> FloatArray:
+        """Segment 0 to 23, (P, m, (n/2)²) float32, blocks of vertices in the pool."""
+        quarter, face = self.quarters[segment % 4], segment // 4
+        found = np.zeros((len(self.frames), self.rows, quarter.texels), dtype=np.float32)
+
+        def one(part: slice) -> None:
+            ways = quarter.ways(self.visibility, part, face)
+            reached = np.flatnonzero(ways.any(axis=1))
+            if len(reached):
+                own = self.frames[part][reached]
+                values = light_values(own, quarter.towards[face], self.table)
+                found[part][reached] = quarter.summed(ways[reached], values)
+
+        for _ in pool.map(
+            one, (slice(start, start + BLOCK) for start in range(0, len(found), BLOCK))
+        ):
+            pass
+        return found
 
 
 def factor_table(light: RowFactors) -> FloatArray:

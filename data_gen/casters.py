@@ -20,11 +20,12 @@ from data_gen.rays import border_operator, departure
 from data_gen.surface_points import vertex_areas, vertex_normals
 from data_gen.visibility import Tracer
 from prtnet.arrays import BoolArray, FloatArray, IntArray
+from prtnet.exchange import Given
 from prtnet.frames import orthonormal_frames
 from prtnet.scene import Receivers
 from prtnet.transfer import wrapped
 
-__all__ = ["Caster", "Hits", "MeshCaster", "PatchCaster"]
+__all__ = ["Caster", "Hits", "MeshCaster", "PatchCaster", "caster_of"]
 
 HOPS = 64  # of a ray over tiles; what then still rises is free
 OVERLAP = 1e-3  # of the block's half size: rays come in a little before where they left
@@ -67,6 +68,10 @@ class Caster(ABC):
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    @abstractmethod
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
+        """All that it is made of, for :func:`caster_of`."""
 
     def turn_to(self, normals: FloatArray) -> None:
         """Give the points normals (K, 3) that are known better than from triangles."""
@@ -114,6 +119,7 @@ class MeshCaster(Caster):
     ) -> None:
         self.positions = np.asarray(positions, dtype=np.float64)
         self.faces = faces
+        self.given = {"positions": positions, "normals": normals, "tangents": tangents}
         self.frames = orthonormal_frames(tangents, normals)
         self.areas = vertex_areas(positions, faces)
         self.tracer = Tracer(self.positions, faces)
@@ -122,6 +128,10 @@ class MeshCaster(Caster):
         normals = self.frames[..., 2]
         away = departure(normals, border_operator(faces, receivers) @ self.positions)
         self.starts = self.tracer.origins(self.positions, away)
+
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
+        """See :class:`Caster`."""
+        return {**self.given, "faces": self.faces, "frames": self.frames}
 
     def cast(self, points: slice, directions: FloatArray) -> Hits:
         """See :class:`Caster`."""
@@ -179,6 +189,11 @@ class PatchCaster(Caster):
         corners = np.stack([block.min(axis=0), block.max(axis=0)])
         self.low, self.high = self.tracer.normalise(corners)[:, :2]
         self.top = self.tracer.normalise(corners)[1, 2]
+
+    def arrays(self) -> dict[str, FloatArray | IntArray]:
+        """See :class:`Caster`."""
+        tiles = np.array(self.tiles, dtype=np.uint8)
+        return {"heights": self.heights, "size": self.size, "tiles": tiles, "frames": self.frames}
 
     def margin(self, axis: int, relief: float) -> int:
         """Cells that the block has on either side of the patch along an axis."""
@@ -250,6 +265,19 @@ class PatchCaster(Caster):
             column, columns, self.tiles[0]
         )
         return np.repeat(texel[:, None], 3, axis=1)
+
+
+def caster_of(kind: str, given: Given) -> Caster:
+    """A caster of this class again, of its arrays."""
+    caster: Caster
+    if kind == MeshCaster.__name__:
+        names = ("positions", "faces", "normals", "tangents")
+        caster = MeshCaster(*(given[name] for name in names))
+    else:
+        across, along = given["tiles"].astype(bool).tolist()
+        caster = PatchCaster(given["heights"], given["size"], (across, along))
+    caster.frames = given["frames"]
+    return caster
 
 
 def lone(count: int) -> FloatArray:

@@ -226,7 +226,6 @@ def prepared(task: TraceElsewhere) -> TraceBlock:
     scene = read_scene(task.scene)
     if scene.sha256 != task.sha256:
         raise PrtnetError(task.scene, "is another file on a worker; make them the same")
-    threadpool_limits(1, user_api="blas")  # for good: a worker's threads are its tasks
     plan, receivers, tangents = planned(scene, task.config)
     attributes, fixed = describe(scene, task.config, plan, receivers, tangents)
     given = attributes, fixed, len(plan), task.config.block

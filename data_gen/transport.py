@@ -14,8 +14,9 @@ they never do: that is told.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,15 +24,18 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 
-from data_gen.casters import Caster, Hits
+from data_gen.casters import Caster, Hits, caster_of
 from prtnet import sh
 from prtnet.arrays import FloatArray
 from prtnet.console import Report, silent
+from prtnet.exchange import Given, Result, exchange
 from prtnet.sh_rotation import rotate
 
 __all__ = ["Bounces", "Gathering", "bounce", "gather", "unit_irradiance"]
 
 BATCH = 1 << 17  # rays at a time
+PARTS = 4  # of so many rays, where others trace them
+CSR = ("data", "indices", "indptr")
 NOTHING = 1e-9  # of the most exit radiance: less is rounding
 STEADY = 1e-6  # a bounce that shrinks by less does not shrink
 UNIFORM = math.sqrt(4.0 * math.pi)  # ∫ of light 1 from all around, by its first coefficient
@@ -117,34 +121,126 @@ def gather(
         values, open_sky = local[None, :, 2] / math.pi, unit_irradiance(order)[None]
     else:
         values = functions(local)
-    values = values * (2.0 * math.pi / rays)  # [F, R]
-    blocked = values[:, :, None] * sh.evaluate(local, order)  # [F, R, n²]
-    flat = np.ascontiguousarray(blocked.transpose(1, 0, 2).reshape(rays, -1), dtype=np.float32)
     step = max(1, BATCH // rays)
-    parts = [slice(start, min(start + step, len(caster))) for start in range(0, len(caster), step)]
-    local32 = local.astype(np.float32)
+    parts = -(-len(caster) // step)
 
-    def one(part: slice) -> tuple[FloatArray, list[scipy.sparse.csr_array]]:
-        frames = caster.frames[part]
-        directions = local32 @ frames.astype(np.float32).transpose(0, 2, 1)  # [B, R, 3]
-        hits = caster.cast(part, directions)
-        shade = np.zeros((len(frames), rays), dtype=np.float32)
+    def told(done: int) -> None:
+        report("rays", min(done * step, len(caster)), len(caster))
+
+    place = exchange()
+    if place is not None:
+        given = {"values": values, "open_sky": open_sky, **caster.arrays()}
+        work = GatherBlock(type(caster).__name__, order, rays, step)
+        pieces = -(-parts // PARTS)
+        results = place.ordered(work, given, pieces, lambda done: told(done * PARTS))
+        found = [unpacked(arrays, len(values), len(caster)) for _, arrays in results]
+    else:
+        sky = Sky(caster, order, values, open_sky)
+        found = []
+        with ThreadPoolExecutor(threads) as pool:
+            for done, one in enumerate(pool.map(sky, slices(len(caster), step)), 1):
+                found.append(one)
+                told(done)
+    direct, hidden = together(found)
+    return Gathering(direct, hidden)
+
+
+Part = tuple[FloatArray, list[scipy.sparse.csr_array]]  # as Gathering has them, of some points
+
+
+class Sky:
+    """What the rays of points sum up to, as :func:`gather` has it.
+
+    Args:
+        caster: the points.
+        order: bands n.
+        values: of F functions along the rays, per steradian, (F, R).
+        open_sky: the functions' exact harmonics, (F, n²).
+    """
+
+    def __init__(
+        self, caster: Caster, order: int, values: FloatArray, open_sky: FloatArray
+    ) -> None:
+        rays = values.shape[1]
+        local = sh.fibonacci_hemisphere(rays)
+        self.caster, self.open_sky = caster, open_sky
+        self.values = values * (2.0 * math.pi / rays)
+        blocked = self.values[:, :, None] * sh.evaluate(local, order)  # [F, R, n²]
+        flat = blocked.transpose(1, 0, 2).reshape(rays, -1)
+        self.flat = np.ascontiguousarray(flat, dtype=np.float32)
+        self.local = local.astype(np.float32)
+
+    def __call__(self, part: slice) -> Part:
+        """Of some points."""
+        frames = self.caster.frames[part]
+        directions = self.local @ frames.astype(np.float32).transpose(0, 2, 1)  # [B, R, 3]
+        hits = self.caster.cast(part, directions)
+        shade = np.zeros((len(frames), len(self.local)), dtype=np.float32)
         shade.reshape(-1)[hits.ray] = 1.0
-        lost = (shade @ flat).reshape(len(frames), *open_sky.shape)
-        direct = rotate(open_sky - lost.astype(np.float64), frames[:, None])
+        lost = (shade @ self.flat).reshape(len(frames), *self.open_sky.shape)
+        direct = rotate(self.open_sky - lost.astype(np.float64), frames[:, None])
         direct[shade.all(axis=1)] = 0.0  # not the rays' error: enclosed places stay dark for good
-        return direct, hidden_by(hits, values, (len(frames), len(caster)))
+        return direct, hidden_by(hits, self.values, (len(frames), len(self.caster)))
 
-    found = []
-    with ThreadPoolExecutor(threads) as pool:
-        for done, result in enumerate(pool.map(one, parts), 1):
-            found.append(result)
-            report("rays", min(done * step, len(caster)), len(caster))
+
+@dataclass(frozen=True)
+class GatherBlock:
+    """Rays of a few parts of the points: work that can be handed over.
+
+    Attributes:
+        kind: of caster, its class.
+        order: bands n.
+        rays: of every point.
+        step: points of a part.
+    """
+
+    kind: str
+    order: int
+    rays: int
+    step: int
+
+    def __call__(self, number: int, given: Given) -> Result:
+        """See ``prtnet.exchange.Work``."""
+        sky = known_sky(self, given)
+        parts = slices(len(sky.caster), self.step)[number * PARTS : (number + 1) * PARTS]
+        direct, hidden = together([sky(part) for part in parts])
+        arrays = {"direct": direct}
+        for function, matrix in enumerate(hidden):
+            for name in CSR:
+                arrays[f"{name}{function}"] = getattr(matrix, name)
+        return {}, arrays
+
+
+@functools.lru_cache(maxsize=1)
+def known_sky(block: GatherBlock, given: Given) -> Sky:
+    """What the blocks of one surface share."""
+    caster = caster_of(block.kind, given)
+    return Sky(caster, block.order, given["values"], given["open_sky"])
+
+
+def slices(count: int, step: int) -> list[slice]:
+    """So many points in parts."""
+    return [slice(start, min(start + step, count)) for start in range(0, count, step)]
+
+
+def together(parts: Sequence[Part]) -> Part:
+    """Parts of the points as one."""
     hidden = [
-        scipy.sparse.csr_array(scipy.sparse.vstack([matrices[f] for _, matrices in found]))
-        for f in range(len(values))
+        scipy.sparse.csr_array(scipy.sparse.vstack(matrices))
+        for matrices in zip(*(matrices for _, matrices in parts), strict=True)
     ]
-    return Gathering(np.concatenate([direct for direct, _ in found]), hidden)
+    return np.concatenate([direct for direct, _ in parts]), hidden
+
+
+def unpacked(arrays: Mapping[str, Any], functions: int, points: int) -> Part:
+    """A block's result."""
+    direct = arrays["direct"]
+    shape = len(direct), points
+    hidden = [
+        scipy.sparse.csr_array(tuple(arrays[f"{name}{k}"] for name in CSR), shape=shape)
+        for k in range(functions)
+    ]
+    return direct, hidden
 
 
 def hidden_by(

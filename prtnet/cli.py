@@ -191,12 +191,14 @@ def train(argv: Sequence[str]) -> None:
 
     import torch
 
-    from prtnet.cli_train import fitting, fitting_place, summary
+    from prtnet.cli_train import fitting, summary
     from prtnet.console import StageMonitor, in_per_cent
     from prtnet.dataset import Dataset
+    from prtnet.exchange import elsewhere
+    from training.train import PACKAGES
 
     torch.set_num_threads(threads(options.threads))
-    place = fitting_place(options.cluster, options.out)
+    place = elsewhere(options.cluster, options.out, PACKAGES)
     with session.console.progress() as report, place:
         monitor = StageMonitor(report)
         dataset = Dataset.open(options.dataset)
@@ -378,12 +380,14 @@ def report(argv: Sequence[str]) -> None:
 def bake(argv: Sequence[str]) -> None:
     """Simulate local transfer of a mesh, a height field or a parametric model."""
     from prtnet.cli_arguments import check_output, named_options
-    from prtnet.cli_bake import BakeOptions, baked, check_options, warnings_of
+    from prtnet.cli_bake import PACKAGES, BakeOptions, baked, check_options, warnings_of
+    from prtnet.exchange import elsewhere
 
     options, session = arguments("bake", argv, BakeOptions)
     check_options(options, named_options(argv))
     check_output(options.out, *options.inputs())
-    with session.console.progress() as progress:
+    place = elsewhere(options.cluster, options.out, PACKAGES)
+    with session.console.progress() as progress, place:
         field = baked(options, threads(options.threads), progress)
     field.save(options.out)
     facts = field.facts()
@@ -395,15 +399,18 @@ def bake(argv: Sequence[str]) -> None:
 def bake_all_frequency(argv: Sequence[str]) -> None:
     """Simulate and compress how a still object answers sharp light."""
     from prtnet.cli_arguments import check_output
-    from prtnet.cli_bake_all_frequency import AllFrequencyOptions, baked_fields, stages
+    from prtnet.cli_bake_all_frequency import PACKAGES, AllFrequencyOptions, baked_fields, stages
 
     options, session = arguments("bake-all-frequency", argv, AllFrequencyOptions)
     check_output(options.out, *options.inputs())
 
     from prtnet.all_frequency_file import facts, save_fields
+    from prtnet.exchange import elsewhere
 
-    with session.console.progress() as report:
-        fields = baked_fields(options, threads(options.threads), report)
+    place = elsewhere(options.cluster, options.out, PACKAGES)
+    with session.console.progress() as report, place:
+        alone = 1 if options.cluster else options.threads  # the number changes the rounding
+        fields = baked_fields(options, threads(alone), report)
     save_fields(options.out, fields)
     for field in fields:
         columns = (field.metadata["source"], "bytes", "of raw", "squared error")

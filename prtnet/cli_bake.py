@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from prtnet.lobe_field import LobeField
     from prtnet.transfer import TransferField
 
-__all__ = ["BakeOptions", "baked", "check_options", "warnings_of"]
+__all__ = ["PACKAGES", "BakeOptions", "baked", "check_options", "warnings_of"]
 
 PACKAGES = ("embreex", "numpy", "scipy")  # that decide the bytes of a field
 MEMBRANE, WRINKLE = "membrane", "wrinkle"
@@ -41,7 +41,17 @@ MAP = (32, 32)  # of a wrinkle
 RELIEF = 0.1  # depth of a relief over its width, where no depth is given
 
 # What options do something for each kind of source; all others are of any.
-SIMULATED = {"order", "rays", "bounces", "albedo", "subsurface", "brdf", "rows", "metres"}
+SIMULATED = {
+    "order",
+    "rays",
+    "bounces",
+    "albedo",
+    "subsurface",
+    "brdf",
+    "rows",
+    "metres",
+    "cluster",
+}
 RELIEFS = SIMULATED | {"thickness", "size", "depth", "edges"}
 OPTIONS_OF = {
     "pattern": RELIEFS,
@@ -50,7 +60,7 @@ OPTIONS_OF = {
     "mesh": SIMULATED,
     "wrinkle": SIMULATED | {"size", "depth"},
     "membrane": {"order", "albedo", "metres", "size", "translucency"},
-    "field": set[str](),
+    "field": {"cluster"},
 }
 NEEDS = {"rows": "brdf", "thickness": "subsurface", "coherent": "lobes"}
 
@@ -77,6 +87,7 @@ class BakeOptions:
     edges: Literal["auto", "wrap", "clamp"] = "auto"  # a relief repeats, or its border goes on
     translucency: str = "0.5"  # of a membrane: a number from 0 to 1, or a picture of them
     seed: int = 0  # of what bumps scatters
+    cluster: str | None = None  # trace on the workers of this Dask scheduler, tcp://HOST:PORT
     threads: int | None = None  # CPU threads; all cores when not given
 
     def __post_init__(self) -> None:
@@ -148,6 +159,8 @@ def check_options(options: BakeOptions, named: Mapping[str, str]) -> None:
             needed = "subsurface"  # light and shadow are the same at any size
         if needed is not None and getattr(options, needed) is None:
             raise PrtnetError(option, f"needs --{needed}; add it, or leave this out")
+    if "cluster" in named and source == "field" and options.coherent:
+        raise PrtnetError("--cluster", "does nothing for coherent lobes, one fit; leave it out")
     if "albedo" in named and options.subsurface is not None:
         raise PrtnetError(named["albedo"], "is what --subsurface takes the place of; leave it out")
 

@@ -7,7 +7,7 @@ clusters ``training``'s.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +21,11 @@ from prtnet.provenance import made_with
 if TYPE_CHECKING:
     from prtnet.all_frequency import AllFrequencyField
     from prtnet.all_frequency_factors import RowFactors
-    from prtnet.arrays import FloatArray
     from prtnet.console import Report
     from prtnet.transfer import Surface
     from training.all_frequency import CompressConfig
 
-__all__ = ["AllFrequencyOptions", "baked_fields", "stages"]
+__all__ = ["PACKAGES", "AllFrequencyOptions", "baked_fields", "stages"]
 
 TEXELS = (8, 16, 32, 64)  # that halve to one, and whose directions fill bytes
 GROUND = "lambert:diffuse=0.5"
@@ -50,6 +49,7 @@ class AllFrequencyOptions:
     points_per_cluster: int = 200  # vertices that share representatives, on average
     error: str = "0.2%"  # squared error to stay below, if clusters leave room for it
     seed: int = 0  # of the clusters
+    cluster: str | None = None  # trace on the workers of this Dask scheduler, tcp://HOST:PORT
     threads: int | None = None  # CPU threads; all cores when not given
 
     def __post_init__(self) -> None:
@@ -64,6 +64,8 @@ class AllFrequencyOptions:
             ("--threads", self.threads, 1, MOST_THREADS),
         ):
             check_within(option, value, least, most)
+        if self.cluster is not None and (self.threads or 1) > 1:
+            raise PrtnetError("--threads", "is 1 beside --cluster, as on workers; leave it out")
         if self.texels not in TEXELS:
             raise PrtnetError("--texels", f"is {self.texels}; give 8, 16, 32 or 64")
         if not 0.0 <= (fraction_of("--error", self.error) or 0.0) < 1.0:
@@ -137,17 +139,18 @@ def one(
     """A surface in the shadow of casters."""
     from data_gen.all_frequency import SAMPLES, transfer_segments
     from data_gen.cube_visibility import cube_visibility
-    from training.all_frequency import compress
+    from prtnet.exchange import exchange
+    from training.all_frequency import compress, compressed
 
     seen = cube_visibility(surface, casters, SAMPLES * options.texels, threads, report)
-
-    def segments() -> Iterator[FloatArray]:
-        return transfer_segments(surface, seen, rows, threads)
-
     facts = {**told, **rows.facts(), "made_with": made_with(*PACKAGES, threads=threads)}
-    return compress(
-        segments, surface, rows.view, options.texels, options.compression(), facts, report
-    )
+    kept = surface, rows.view, options.texels, options.compression(), facts, report
+    place = exchange()
+    if place is None:
+        return compress(lambda: transfer_segments(surface, seen, rows, threads), *kept)
+    from prtnet.cli_bake_segments import stages_elsewhere
+
+    return compressed(stages_elsewhere(place, surface, seen, rows, options.compression()), *kept)
 
 
 def stages(field: AllFrequencyField) -> list[list[str]]:

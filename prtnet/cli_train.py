@@ -6,11 +6,8 @@ is measured by the runtime.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prtnet.cli_arguments import refuse
@@ -24,7 +21,7 @@ if TYPE_CHECKING:
     from training.config import TrainConfig
     from training.monitor import Monitor
 
-__all__ = ["check_cluster", "check_lobe_options", "fitting", "fitting_place", "summary"]
+__all__ = ["check_cluster", "check_lobe_options", "fitting", "summary"]
 
 OF_PRIORS = ("near_spheres", "patches", "near_patches", "prior_order", "samples", "width", "depth",
              "codes", "steps")  # fmt: skip
@@ -87,20 +84,6 @@ def check_cluster(
     if config.kind in ("hybrid", "shared"):
         tell(f"--cluster fits the networks of clusters; what all receivers of a {config.kind} "
              "model share is one fit, made here")  # fmt: skip
-
-
-def fitting_place(address: str | None, out: Path) -> AbstractContextManager[None]:
-    """Inside it networks are fitted on a cluster, if there is one; through a folder beside ``out``.
-
-    Raises:
-        PrtnetError: on entering, the folder cannot be made.
-    """
-    if address is None:
-        return contextlib.nullcontext()
-    from prtnet.executor import executor
-    from training.elsewhere import PACKAGES, fits_elsewhere
-
-    return fits_elsewhere(executor(address, 1, PACKAGES), out.with_name(f".{out.name}.fits"))
 
 
 def fitting(

@@ -14,6 +14,8 @@ from importlib.metadata import PackageNotFoundError
 from itertools import islice
 from typing import Any, Protocol
 
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
 from prtnet.errors import PrtnetError
 from prtnet.provenance import made_with
 
@@ -98,8 +100,15 @@ class Serial(Executor):
 def on_worker(task: Task, number: int, made: tuple[tuple[str, str], ...]) -> int:
     """What a worker of a cluster runs, if it has these versions."""
     require_same(made)
+    quiet_blas()
     task(number, Serial())
     return number
+
+
+@functools.cache
+def quiet_blas() -> None:
+    """Leave the cores to tasks, for good: a worker's threads are its tasks."""
+    threadpool_limits(1, user_api="blas")
 
 
 @functools.cache

@@ -7,12 +7,14 @@ Papers:
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
 
 from prtnet.arrays import FloatArray
 from prtnet.console import Report, silent
+from prtnet.exchange import Given, Result, exchange
 from prtnet.lobe_field import LobeField, halved
 from prtnet.transfer import Patch, Surface, TransferField
 from prtnet.zh import Lobes, LobesApart, apart, exact_lobes
@@ -23,6 +25,7 @@ __all__ = ["between", "exact_field", "lobe_field"]
 
 STARTS, GOOD = 4, 0.02  # random starts, and the error that needs none
 BLOCK = 1 << 13  # functions between two reports
+FUNCTIONS = 1024  # that ``fit_lobes`` fits at a time: its blocks are by themselves
 
 
 def lobe_field(
@@ -87,7 +90,16 @@ def fitted_apart(
     del field
     flat = transfer.reshape(-1, transfer.shape[-1])
     parts = []
-    for start in range(0, len(flat), BLOCK):
+    place = exchange()
+    if place is not None:
+        blocks = -(-len(flat) // FUNCTIONS)
+
+        def told(done: int) -> None:
+            report("lobes", min(done * FUNCTIONS, len(flat)), len(flat))
+
+        results = place.ordered(LobeBlock(count), {"transfer": flat}, blocks, told)
+        parts = [Lobes(own["axes"], own["coefficients"]) for _, own in results]
+    for start in range(0, 0 if place else len(flat), BLOCK):
         report("lobes", start, len(flat))
         parts.append(fit_lobes(flat[start : start + BLOCK], count, STARTS, GOOD))
     axes, coefficients = (
@@ -97,6 +109,23 @@ def fitted_apart(
         for name in ("axes", "coefficients")
     )
     return apart(transfer, Lobes(axes, coefficients))
+
+
+@dataclass(frozen=True)
+class LobeBlock:
+    """Lobes of some rows of points: work that can be handed over.
+
+    Attributes:
+        count: lobes N of a row.
+    """
+
+    count: int
+
+    def __call__(self, number: int, given: Given) -> Result:
+        """See ``prtnet.exchange.Work``."""
+        rows = slice(number * FUNCTIONS, (number + 1) * FUNCTIONS)
+        lobes = fit_lobes(given.part("transfer", rows), self.count, STARTS, GOOD)
+        return {}, {"axes": lobes.axes, "coefficients": lobes.coefficients}
 
 
 def fitted_at_once(

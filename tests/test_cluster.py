@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 import torch
+import trimesh
 
 from data_gen.generate import GenerateConfig, generate
 from data_gen.gltf_writer import write_glb
@@ -23,11 +24,11 @@ from data_gen.procedural import arm
 from data_gen.readers import read_scene
 from prtnet.cli import run
 from prtnet.errors import PrtnetError
+from prtnet.exchange import through
 from prtnet.executor import Cluster, Task
 from tests.training.data import memory_dataset
 from training.config import TrainConfig
-from training.elsewhere import PACKAGES, fits_elsewhere
-from training.train import train
+from training.train import PACKAGES, train
 
 distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
 CONFIG = GenerateConfig(count=24, rays=64, order=3, threads=1, block=1)
@@ -132,7 +133,7 @@ def test_networks_of_a_model_lose_nothing_with_a_worker(cluster: Any, tmp_path: 
         networks=3,
     )  # fmt: skip
     tasks = Deadly(cluster)
-    with fits_elsewhere(tasks, tmp_path / "fits"):
+    with through(tasks, tmp_path / "fits"):
         train(data, config).save(tmp_path / "far")
     train(data, config).save(tmp_path / "here")
     assert (tmp_path / "far").read_bytes() == (tmp_path / "here").read_bytes()
@@ -166,3 +167,25 @@ def test_workers_with_other_versions_are_told(cluster: Any) -> None:
         wanted = f"--cluster: {name} is {here} on a worker and 0.1 here; make them the same"
         with pytest.raises(PrtnetError, match=re.escape(wanted)):
             list(tasks.run(Nothing(), [3]))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "bake bumps --size 8x8 --rays 32 --lobes 1",
+        "bake-all-frequency {0} --texels 8 --points-per-cluster 40 --terms 3 --rows 2 "
+        "--brdf ggx:roughness=0.3 --ground",
+    ],
+)
+def test_bake_on_a_cluster(
+    words: str, cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("data_gen.all_frequency.ground.__defaults__", (6, 4.0))
+    mesh, out = tmp_path / "ball.ply", tmp_path / "far.safetensors"
+    trimesh.creation.icosphere(subdivisions=2, radius=0.5).export(mesh)
+    argv = [*(word.format(mesh) for word in words.split()), "--quiet", "--out"]
+    address = ["--cluster", cluster.scheduler_address]
+    assert run([*argv, str(tmp_path / "here.safetensors"), "--threads", "1"]) == 0
+    assert run([*argv, str(out), *address]) == 0
+    assert out.read_bytes() == (tmp_path / "here.safetensors").read_bytes()
+    assert len(list(tmp_path.iterdir())) == 3

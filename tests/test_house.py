@@ -33,8 +33,8 @@ ALLOWED = {
 }
 # Commands drive all packages; a report, which trains and draws, is long enough for its own module.
 COMMANDS_OF = (
-    "", "_bake", "_bake_all_frequency", "_demo", "_evaluate", "_field_truth", "_info", "_render",
-    "_render_all_frequency", "_render_field", "_report", "_train", "_view",
+    "", "_bake", "_bake_all_frequency", "_bake_segments", "_demo", "_evaluate", "_field_truth",
+    "_info", "_render", "_render_all_frequency", "_render_field", "_report", "_train", "_view",
     "_view_all_frequency", "_view_field",
 )  # fmt: skip
 COMMAND_LINE = tuple(f"prtnet/cli{name}.py" for name in COMMANDS_OF)

@@ -16,7 +16,7 @@ representatives as they are stored.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,8 +35,10 @@ __all__ = [
     "Clustered",
     "CompressConfig",
     "Losses",
+    "Stages",
     "clustered",
     "compress",
+    "compressed",
     "fitted",
     "sparse_wavelets",
 ]
@@ -146,21 +148,53 @@ def compress(
         ValueError: there are not 24 segments, or their arrays do not fit the surface.
     """
     shape = (len(surface), len(view), (size // 2) ** 2)
+
+    def clusters() -> Iterator[Clustered]:
+        for raw in segments():
+            if raw.shape != shape:
+                raise ValueError(f"a segment has shape {raw.shape}, expected {shape}")
+            yield clustered(raw, config)
+            del raw  # before the next is made
+
+    def weights(
+        found: Sequence[Clustered], kept: Sequence[FloatArray]
+    ) -> Iterator[tuple[Segment, float]]:
+        for raw, one, own in zip(segments(), found, kept, strict=True):
+            yield fitted(raw, one, own)
+            del raw
+
+    return compressed((clusters, weights), surface, view, size, config, told, report)
+
+
+Stages = tuple[
+    Callable[[], Iterable[Clustered]],
+    Callable[[Sequence[Clustered], Sequence[FloatArray]], Iterable[tuple[Segment, float]]],
+]
+"""What makes clusters, and what fits segments to them and to representatives that are kept."""
+
+
+def compressed(
+    stages: Stages,
+    surface: Surface,
+    view: FloatArray,
+    size: int,
+    config: CompressConfig,
+    told: Mapping[str, Any] | None = None,
+    report: Report = silent,
+) -> AllFrequencyField:
+    """As :func:`compress`, wherever ``stages`` cluster and fit the 24 segments in order."""
+    clusters, weights = stages
     found = []
-    for number, raw in enumerate(segments(), 1):
-        if raw.shape != shape:
-            raise ValueError(f"a segment has shape {raw.shape}, expected {shape}")
-        found.append(clustered(raw, config))
+    for number, cluster in enumerate(clusters(), 1):
+        found.append(cluster)
         report("clusters of segments", number, SEGMENTS)
-        del raw  # before the next is made
     kept, left = sparse_wavelets(found, config.error)
     parts, losses = [], []
-    for number, (raw, one) in enumerate(zip(segments(), found, strict=True)):
-        segment, missed = fitted(raw, one, kept[number])
+    for number, (segment, missed) in enumerate(weights(found, kept)):
+        one = found[number]
         parts.append(segment)
         losses.append(Losses(one.energy, one.lost, one.lost + left[number], missed))
         report("weights of segments", number + 1, SEGMENTS)
-        del raw
     facts = {
         **(told or {}),
         "terms": config.terms,

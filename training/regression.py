@@ -10,17 +10,16 @@ and Pereyra 1973); the gradient at the best c is the partial gradient with respe
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextvars import ContextVar
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from prtnet.errors import PrtnetError
+from prtnet.exchange import Exchange, Given, Result, exchange
 from training.lbfgs import NOT_FINITE, Objective, minimise
 
 __all__ = [
-    "ELSEWHERE",
     "Fit",
     "Networks",
     "average",
@@ -36,6 +35,7 @@ START_ALPHA = 1e-2  # of the ridge regression that networks start near
 START_GAIN = 0.3  # how far into its bend a neuron sees at the start
 START_ELSEWHERE = 0.2  # weight of directions the ridge regression does not look along
 SCREENING = 20  # iterations after which restarts are compared
+CLUSTERS = 4  # of a block: fewer waste time on small products, more leave workers without any
 JITTER = 30.0  # roundings of the mean diagonal: keeps α = 0 with dependent columns solvable
 
 
@@ -354,10 +354,47 @@ class Networks:
         )  # fmt: skip
 
 
-ELSEWHERE: ContextVar[Callable[[Networks, Tensor, Tensor, OnIteration | None], Fit] | None] = (
-    ContextVar("ELSEWHERE", default=None)
-)
-"""What fits networks in place of one batch in this process, where anything does."""
+TENSORS = ("weight", "bias", "hidden_weight", "hidden_bias", "loss", "iterations")
+
+
+@dataclass(frozen=True)
+class FitBlock:
+    """The networks of some clusters out of more: work that can be handed over.
+
+    Attributes:
+        how: networks are fitted.
+        clusters: in all blocks.
+    """
+
+    how: Networks
+    clusters: int
+
+    def __call__(self, number: int, given: Given) -> Result:
+        """See ``prtnet.exchange.Work``."""
+        torch.set_num_threads(1)
+        rows = slice(number * CLUSTERS, (number + 1) * CLUSTERS)
+        x, t = (torch.from_numpy(given.part(name, rows)) for name in ("inputs", "targets"))
+        found = self.how(x, t, first=rows.start, of=self.clusters)
+        return {"status": found.status}, {n: getattr(found, n).numpy() for n in TENSORS}
+
+
+def fit_in_blocks(
+    place: Exchange, how: Networks, x: Tensor, t: Tensor, on_iteration: OnIteration | None
+) -> Fit:
+    """As ``how(x, t)``; told of whole blocks, as if of all iterations in equal parts."""
+    blocks = -(-len(x) // CLUSTERS)
+    limit = total_iterations(how.iterations, how.restarts)
+    found: dict[int, Fit] = {}
+    given = {"inputs": x.numpy(), "targets": t.numpy()}
+    for number, header, arrays in place.run(FitBlock(how, len(x)), given, blocks):
+        tensors = {name: torch.from_numpy(arrays[name]) for name in TENSORS}
+        found[number] = Fit(**tensors, status=header["status"])
+        if on_iteration is not None:
+            losses = torch.cat([fit.loss for fit in found.values()])
+            on_iteration(limit * len(found) // blocks - 1, losses)
+    fits = [found[number] for number in range(blocks)]
+    tensors = {name: torch.cat([getattr(fit, name) for fit in fits]) for name in TENSORS}
+    return Fit(**tensors, status=[text for fit in fits for text in fit.status])
 
 
 def fit_neural(
@@ -387,11 +424,11 @@ def fit_neural(
         PrtnetError: an input or a target is not finite.
     """
     how = Networks(neurons, alpha, iterations, seed, restarts)
-    elsewhere = ELSEWHERE.get()
+    place = exchange()
 
     def fit(x: Tensor, t: Tensor, _: Tensor) -> Fit:
-        if elsewhere is not None:
-            return elsewhere(how, x, t, on_iteration)
+        if place is not None:
+            return fit_in_blocks(place, how, x, t, on_iteration)
         return how(x, t, on_iteration)
 
     return fit_varying(inputs, targets, fit)

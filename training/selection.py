@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from prtnet.arrays import BoolArray, FloatArray, IntArray
+from prtnet.exchange import in_parallel
 from prtnet.time_range import GUARD
-from training.elsewhere import in_parallel
 from training.regression import Fit
 
 __all__ = [

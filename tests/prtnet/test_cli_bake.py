@@ -159,6 +159,11 @@ def test_info_knows_a_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         (["a.safetensors", "--order", "3", "--lobes", "2"], "--order: does nothing for a field"),
         (["a.safetensors", "--brdf", "gold"], "--brdf: does nothing for a field"),
         (["wrinkle", "--edges", "wrap"], "--edges: does nothing for a wrinkle"),
+        (["membrane", "--cluster", "tcp://a:1"], "--cluster: does nothing for a membrane"),
+        (
+            ["a.safetensors", "--lobes", "2", "--coherent", "--cluster", "tcp://a:1"],
+            "--cluster: does nothing for coherent lobes",
+        ),
         (["membrane", "--rays", "32"], "--rays: does nothing for a membrane"),
         (["membrane", "--subsurface", "milk"], "--subsurface: does nothing for a membrane"),
         (["membrane", "--bounces", "1"], "--bounces: does nothing for a membrane"),

@@ -5,15 +5,14 @@ import dataclasses
 import pytest
 import torch
 
-from prtnet import cli_train
+from prtnet import cli_train, exchange
 from prtnet.errors import PrtnetError
+from prtnet.exchange import Given, through
 from prtnet.executor import Local
 from tests.training.data import memory_dataset
-from training import elsewhere
 from training.budget import Budget
 from training.config import TrainConfig
-from training.elsewhere import fits_elsewhere
-from training.regression import fit_neural
+from training.regression import FitBlock, Networks, fit_neural
 from training.train import train
 
 SMALL = TrainConfig(clusters=7, latents=3, spheres=12, points=2, near=6, iterations=20, neurons=4)
@@ -57,9 +56,8 @@ def test_blocks_have_the_bytes_of_one_batch(tmp_path, threads):
     told = []
     torch.set_num_threads(threads)
     wanted = fit_neural(x, t, 6, 1e-3, 10, seed=4, restarts=2)
-    with fits_elsewhere(Local(2), tmp_path / "fits"):
+    with through(Local(2), tmp_path / "fits"):
         found = fit_neural(x, t, 6, 1e-3, 10, 4, lambda i, losses: told.append((i, len(losses))), 2)
-    assert torch.get_num_threads() == threads
     assert all(torch.equal(getattr(found, name), getattr(wanted, name)) for name in NAMES)
     assert found.status == wanted.status
     assert told == [(9, 4), (19, 8), (29, 10)]  # ten clusters vary; 10 + 2 · 10 iterations
@@ -70,10 +68,10 @@ def test_a_model_with_cross_validation_has_the_same_bytes_after_an_end_in_the_mi
     data = memory_dataset(per_clip=6)
     train(data, SMALL).save(tmp_path / "here")
     tasks = Counting(most=9)
-    with pytest.raises(PrtnetError, match="it ends"), fits_elsewhere(tasks, tmp_path / "fits"):
+    with pytest.raises(PrtnetError, match="it ends"), through(tasks, tmp_path / "fits"):
         train(data, SMALL)
     again = Counting()
-    with fits_elsewhere(again, tmp_path / "fits"):
+    with through(again, tmp_path / "fits"):
         train(data, SMALL).save(tmp_path / "far")
     assert (tmp_path / "far").read_bytes() == (tmp_path / "here").read_bytes()
     assert 0 < again.done <= 22 - 9  # two blocks of all poses, and of two folds of five α
@@ -83,18 +81,17 @@ def test_a_model_with_cross_validation_has_the_same_bytes_after_an_end_in_the_mi
 def test_other_versions_begin_anew(tmp_path, monkeypatch):
     x, t = problem(clusters=4)
     for version, done in (("1", 1), ("1", 0), ("2", 1)):
-        monkeypatch.setattr(elsewhere, "made_with", lambda *_, version=version: {"torch": version})
-        monkeypatch.setattr(elsewhere, "remove", lambda _: None)
+        monkeypatch.setattr(exchange, "made_with", lambda *_, version=version: {"torch": version})
+        monkeypatch.setattr(exchange, "remove", lambda _: None)
         tasks = Counting()
-        with fits_elsewhere(tasks, tmp_path):
+        with through(tasks, tmp_path):
             fit_neural(x, t, 3, 1e-3, 4)
         assert tasks.done == done
 
 
 def test_a_machine_without_the_folder(tmp_path):
-    task = elsewhere.FitBlock(tmp_path, "a", "b", elsewhere.Networks(3, 1e-3), 4)
-    with pytest.raises(PrtnetError, match="is not there on a worker; put --out where"):
-        task(0, None)
+    with pytest.raises(PrtnetError, match="cannot be read on a worker; put --out where"):
+        FitBlock(Networks(3, 1e-3), 4)(0, Given(tmp_path / "none"))
 
 
 def test_a_cluster_that_has_nothing_to_do_is_refused():
