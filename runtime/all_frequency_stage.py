@@ -25,6 +25,7 @@ from runtime.all_frequency_shader import (
     seen_shaders,
     sum_shaders,
 )
+from runtime.holding import Holding
 
 __all__ = ["AllFrequencyStage", "draws_in_software"]
 
@@ -37,7 +38,7 @@ def draws_in_software(context: moderngl.Context) -> bool:
     return any(one in name for one in SOFTWARE)
 
 
-class AllFrequencyStage:
+class AllFrequencyStage(Holding):
     """One field under one light.
 
     Args:
@@ -59,13 +60,12 @@ class AllFrequencyStage:
         field: AllFrequencyField,
         summed: Literal["gpu", "cpu"] | None = None,
     ) -> None:
-        self.context, self.field = context, field
+        super().__init__(context)
+        self.field = field
         self.milliseconds: dict[str, float] = {}
         self.products = Products(field)
         on_cpu = summed == "cpu" or (summed is None and draws_in_software(context))
         self._sums = Sums(field) if on_cpu else None
-        self._held: dict[str, Any] = {}
-        self._made: list[Any] = []
         self._eye: tuple[float, ...] | None = None  # that radiances are held for
         self._columns = columns_of(field.rows)
         try:
@@ -75,17 +75,6 @@ class AllFrequencyStage:
         except BaseException:
             self.release()
             raise
-
-    def release(self) -> None:
-        """Give everything back but the context."""
-        for held in (*reversed(self._made), *self._held.values()):
-            held.release()
-        self._made, self._held = [], {}
-
-    @property
-    def resources(self) -> list[Any]:
-        """Buffers and textures that are held."""
-        return list(self._held.values())
 
     def _upload(self) -> None:
         """The mesh, its view factors, and room for sums."""
@@ -118,7 +107,7 @@ class AllFrequencyStage:
             self._held[name].write(np.ascontiguousarray(array))
         self.program: Any = self._keep(context.program(*draw_shaders()))
         attributes = [(self._held["position"], "3f", "position")]
-        self._mesh = self._keep(context.vertex_array(self.program, attributes, self._held["faces"]))
+        self._mesh = context.vertex_array(self.program, attributes, self._held["faces"])
 
     def _upload_runs(self) -> None:
         """What sums products on the GPU."""
@@ -131,11 +120,6 @@ class AllFrequencyStage:
         self._summing["texels"] = -(-runs.weights.shape[1] // 4)
         self._triangle = self._keep(self.context.vertex_array(self._summing, []))
         self._frame = self._keep(self.context.framebuffer([self._held["sums"]]))
-
-    def _keep(self, made: Any) -> Any:
-        """Something to be given back in the end."""
-        self._made.append(made)
-        return made
 
     def _texture(self, name: str, texels: Any) -> None:
         """A texture (height, width, channels) to be fetched texel by texel."""

@@ -12,6 +12,7 @@ from prtnet.canvas import Canvas
 from prtnet.errors import PrtnetError
 from prtnet.lobe_field import LobeField
 from prtnet.transfer import Patch
+from runtime.holding import Holding
 from runtime.lobe_shader import lobe_layers, mesh_shaders, patch_shaders, vertex_texture
 from runtime.lobe_shading import TABLE, LobeLight
 
@@ -20,7 +21,7 @@ __all__ = ["LobeStage"]
 ATTRIBUTES = {"position": 3, "tangent": 3, "normal": 3, "place": 2}
 
 
-class LobeStage:
+class LobeStage(Holding):
     """One field, on one mesh, under one light.
 
     Args:
@@ -33,12 +34,11 @@ class LobeStage:
     """
 
     def __init__(self, context: moderngl.Context, field: LobeField, by_table: bool = True) -> None:
-        self.context, self.field, self.by_table = context, field, by_table
+        super().__init__(context)
+        self.field, self.by_table = field, by_table
         self.patch = isinstance(field.layout, Patch)
         shaders = (patch_shaders if self.patch else mesh_shaders)(field, by_table)
-        self.program: Any = context.program(vertex_shader=shaders[0], fragment_shader=shaders[1])
-        self._held: dict[str, Any] = {}
-        self._mesh: Any = None
+        self.program: Any = self._keep(context.program(*shaders))
         self._shape: tuple[int, int] | None = None
         self._set("rows", field.rows)
         self._set("lobes", field.count)
@@ -47,19 +47,6 @@ class LobeStage:
         except BaseException:
             self.release()
             raise
-
-    def release(self) -> None:
-        """Give everything back but the context."""
-        for held in [self._mesh, *self._held.values(), self.program]:
-            if held is not None:
-                held.release()
-        self._held.clear()
-        self._mesh = None
-
-    @property
-    def resources(self) -> list[Any]:
-        """Buffers and textures that are held."""
-        return list(self._held.values())
 
     def _upload(self) -> None:
         """Textures of the field, and room for those of light."""
@@ -152,11 +139,7 @@ class LobeStage:
 
     def _allocate(self, shape: tuple[int, int], names: list[str]) -> None:
         """Buffers of a mesh of so many vertices and triangles."""
-        for name in [*names, "faces"]:
-            if name in self._held:
-                self._held.pop(name).release()
-        if self._mesh is not None:
-            self._mesh.release()
+        self._drop([*names, "faces"])
         for name in names:
             self._held[name] = self.context.buffer(reserve=max(1, 4 * ATTRIBUTES[name] * shape[0]))
         self._held["faces"] = self.context.buffer(reserve=max(1, 12 * shape[1]))
