@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import itertools
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ import moderngl
 import numpy as np
 import torch
 import trimesh
-from tables import publish
+from tables import gpu_milliseconds, publish
 
 from prtnet.all_frequency import SEGMENTS, AllFrequencyField, Segment
 from prtnet.all_frequency_file import load_fields, reached
@@ -36,22 +34,9 @@ from runtime.all_frequency_stage import AllFrequencyStage
 from runtime.gl import create_context
 
 SIZE = (640, 640)  # of pictures
-REPEATS = 40
 FINEST = (0.02, 0.1, 0.25)  # shares of numbers that are not zero, of made-up transfer
 KEPT = (1.0, 0.3, 0.1, 0.03)  # shares of the light's coefficients
 ROWS, TERMS, CELLS, CLUSTER, REACHED = 10, 16, 32, 200, 0.56  # table 1 of the paper: bunny
-
-
-def milliseconds(work: Callable[[], object], context: moderngl.Context) -> float:
-    """Median, until the GPU is done."""
-    taken = []
-    for _ in range(REPEATS + 3):
-        context.finish()
-        started = time.perf_counter()
-        work()
-        context.finish()
-        taken.append(time.perf_counter() - started)
-    return 1e3 * float(np.median(taken[3:]))
 
 
 def made_up(finest: float) -> AllFrequencyField:
@@ -96,16 +81,16 @@ def measured(field: AllFrequencyField, label: str, context: moderngl.Context) ->
     frame = context.framebuffer(
         [context.texture(SIZE, 4, dtype="f2")], context.depth_renderbuffer(SIZE)
     )
-    turn = milliseconds(lambda: light.at(about_up(33.0)), context)
+    turn = gpu_milliseconds(lambda: light.at(about_up(33.0)), context)
     texels = light.at(about_up(33.0))
-    turn += milliseconds(lambda: segment_coefficients(texels), context)
+    turn += gpu_milliseconds(lambda: segment_coefficients(texels), context)
     steps = itertools.count()
 
     def draw() -> None:
         stage.draw(frame, matrix, eye + 1e-4 * next(steps))  # an eye that rests costs nothing
 
     frame.scissor = (0, 0, 1, 1)  # every vertex, one pixel
-    seen = milliseconds(draw, context)
+    seen = gpu_milliseconds(draw, context)
     frame.scissor = None
 
     def picture() -> None:
@@ -113,15 +98,15 @@ def measured(field: AllFrequencyField, label: str, context: moderngl.Context) ->
         frame.clear(0.0, 0.0, 0.0, 0.0, depth=1.0)
         draw()
 
-    drawn = max(0.0, milliseconds(picture, context) - seen)
+    drawn = max(0.0, gpu_milliseconds(picture, context) - seen)
     numbers = sum(len(one.representatives.values) for one in field.segments)
     whole = sum(np.prod(one.representatives.shape) for one in field.segments)
     full = f"{label}, {100 * numbers / whole:.0f} % not zero"
     rows = []
     for share in KEPT:
         some = truncated(segment_coefficients(texels), round(share * 6 * field.size**2))
-        products = milliseconds(lambda: stage.products(some), context)  # noqa: B023
-        lit = milliseconds(lambda: stage.light(some), context)  # noqa: B023
+        products = gpu_milliseconds(lambda: stage.products(some), context)  # noqa: B023
+        lit = gpu_milliseconds(lambda: stage.light(some), context)  # noqa: B023
         sums = max(0.0, lit - products)
         shading = turn + products + sums + seen
         stages = [turn, products, sums, seen, drawn]

@@ -12,13 +12,14 @@ with no loss in the harmonics of a BRDF. Errors are of pixels that are drawn, of
 from __future__ import annotations
 
 import argparse
+import functools
 import time
 from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
 import torch
-from ldprt_pictures import FIGURES, sheet
+from ldprt_pictures import save_figures, sheet
 from materials import rms
 from PIL import Image
 from tables import per_cent, publish, scene_path
@@ -261,14 +262,8 @@ def main() -> None:
     chosen = options.parse_args()
     torch.set_num_threads(core_count())
     prop = Prop(chosen.vertices or (500 if chosen.quick else 2500), chosen.quick)
-    for name in chosen.names or MADE:
-        started = time.perf_counter()
-        path = FIGURES / f"all_frequency_{name}.png"
-        picture = MADE[name](prop)
-        picture.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG).save(
-            path, optimize=True
-        )
-        print(f"{path}: {path.stat().st_size} bytes, {time.perf_counter() - started:.0f} s")
+    made = {name: functools.partial(make, prop) for name, make in MADE.items()}
+    save_figures("all_frequency", made, chosen.names)
 
 
 if __name__ == "__main__":

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import itertools
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -243,20 +244,28 @@ MADE: dict[str, Callable[[bool], Image.Image]] = {
 }
 
 
+def save_figures(
+    prefix: str, made: Mapping[str, Callable[[], Image.Image]], names: Sequence[str]
+) -> None:
+    """Make figures and put them into the docs: those that are named, or all."""
+    for name in names or made:
+        started = time.perf_counter()
+        path = FIGURES / f"{prefix}_{name}.png"
+        picture = made[name]()
+        picture.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG).save(
+            path, optimize=True
+        )
+        print(f"{path}: {path.stat().st_size} bytes, {time.perf_counter() - started:.0f} s")
+
+
 def main() -> None:
     """The figures that are asked for."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("names", nargs="*", help="of figures")
     options.add_argument("--quick", action="store_true", help="coarse")
     chosen = options.parse_args()
-    for name in chosen.names or MADE:
-        started = time.perf_counter()
-        picture = MADE[name](chosen.quick)
-        path = FIGURES / f"ldprt_{name}.png"
-        picture.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG).save(
-            path, optimize=True
-        )
-        print(f"{path}: {path.stat().st_size} bytes, {time.perf_counter() - started:.0f} s")
+    made = {name: functools.partial(make, chosen.quick) for name, make in MADE.items()}
+    save_figures("ldprt", made, chosen.names)
 
 
 if __name__ == "__main__":

@@ -5,13 +5,11 @@ python bench/shading.py [--write]
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from typing import Any
 
 import moderngl
 import numpy as np
-from tables import CHARACTERS, OUT, publish, scene_path
+from tables import CHARACTERS, OUT, gpu_milliseconds, publish, scene_path
 
 from data_gen.readers import read_scene
 from prtnet.arrays import FloatArray
@@ -34,19 +32,6 @@ from runtime.stage import Stage
 from training.onnx_export import build_latent_onnx
 
 SIZES = ((800, 600), (1920, 1080))
-REPEATS = 30
-
-
-def milliseconds(work: Callable[[], object], context: moderngl.Context) -> float:
-    """Median, until the GPU is done."""
-    taken = []
-    for _ in range(REPEATS + 3):
-        context.finish()
-        started = time.perf_counter()
-        work()
-        context.finish()
-        taken.append(time.perf_counter() - started)
-    return 1e3 * float(np.median(taken[3:]))
 
 
 def character(name: str, context: moderngl.Context) -> list[list[str]]:
@@ -67,9 +52,9 @@ def character(name: str, context: moderngl.Context) -> list[list[str]]:
     stage.light(lobes)
     stage.material(material(brdf_named("gold"), 8, model.order))
     common = [
-        milliseconds(lambda: onnx(pose), context),
-        milliseconds(lambda: posed_subject(actor, pose), context),
-        milliseconds(lambda: stage.show_latents(subject, latents, receivers), context),
+        gpu_milliseconds(lambda: onnx(pose), context),
+        gpu_milliseconds(lambda: posed_subject(actor, pose), context),
+        gpu_milliseconds(lambda: stage.show_latents(subject, latents, receivers), context),
     ]
     rows = []
     for size in SIZES:
@@ -78,10 +63,10 @@ def character(name: str, context: moderngl.Context) -> list[list[str]]:
         matrix, eye = camera.matrix(size[0] / size[1]), np.asarray(camera.eye)
         frame = screen.clear(size)
         frame.scissor = (0, 0, 1, 1)  # every vertex, one pixel
-        shade = milliseconds(lambda: stage.draw(frame, matrix, eye), context)  # noqa: B023
+        shade = gpu_milliseconds(lambda: stage.draw(frame, matrix, eye), context)  # noqa: B023
         frame.scissor = None
-        draw = milliseconds(lambda: stage.draw(frame, matrix, eye), context)  # noqa: B023
-        shown = milliseconds(lambda: screen.present(target, 1.0), context)  # noqa: B023
+        draw = gpu_milliseconds(lambda: stage.draw(frame, matrix, eye), context)  # noqa: B023
+        shown = gpu_milliseconds(lambda: screen.present(target, 1.0), context)  # noqa: B023
         stages = [*common, shade, max(0.0, draw - shade), shown]
         label = f"{name}, {size[0]} × {size[1]}"
         vertices = str(len(subject.positions))
@@ -146,7 +131,7 @@ def growth(context: moderngl.Context) -> list[list[str]]:
                 for _ in range(count):
                     stage.draw(frame, np.eye(4), np.array([0.0, 0.0, 5.0]))
 
-            found.append(milliseconds(all_of_them, context))
+            found.append(gpu_milliseconds(all_of_them, context))
             stage.release()
         cells = ", ".join(f"{v}: {ms:.2f}" for v, ms in zip(values, found, strict=True))
         rows.append([what, cells])

@@ -10,9 +10,12 @@ import datetime
 import os
 import platform
 import re
+import statistics
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from data_gen.generate import GenerateConfig, generate
 from data_gen.readers import read_scene
@@ -46,6 +49,18 @@ def scene_path(name: str) -> Path:
         print(f"{path} is absent: nothing measured")
         sys.exit(0)
     return path
+
+
+def gpu_milliseconds(work: Callable[[], object], context: Any, repeats: int = 30) -> float:
+    """Median, until the GPU of an OpenGL context is done."""
+    taken = []
+    for _ in range(repeats + 3):
+        context.finish()
+        started = time.perf_counter()
+        work()
+        context.finish()
+        taken.append(time.perf_counter() - started)
+    return 1e3 * statistics.median(taken[3:])
 
 
 def dataset(name: str, scene: str, config: GenerateConfig) -> Dataset:

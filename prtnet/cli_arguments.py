@@ -27,6 +27,7 @@ __all__ = [
     "named_options",
     "output_folder",
     "parse",
+    "pictures_folder",
     "refuse",
     "value_of",
 ]
@@ -255,6 +256,16 @@ def output_folder(path: Path) -> None:
         raise PrtnetError(path, "is a file where a folder is wanted; give another output")
     check_writable(path)
     path.mkdir(exist_ok=True)
+
+
+def pictures_folder(path: Path) -> None:
+    """Refuse what is no folder to save pictures in.
+
+    Raises:
+        PrtnetError: it is none.
+    """
+    if not path.is_dir():
+        raise PrtnetError(path, "is no folder to save pictures in; make it, or give another")
 
 
 def check_writable(path: Path) -> None:

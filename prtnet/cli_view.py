@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from prtnet.cli_arguments import pictures_folder
 from prtnet.cli_options import blend_of
 from prtnet.cli_render import order_of, staged, tracers
 from prtnet.environment import environment
-from prtnet.errors import PrtnetError
 from prtnet.gpu_tables import gpu_tables
 from prtnet.materials import BRDFS, brdf_named
 from prtnet.materials import PRESETS as MATERIALS
@@ -56,8 +56,7 @@ def opened_viewer(
     brdf_named(options.brdf, bool(cast.actor.model.lobes))
     scene = cast.actor.scene
     clip = scene.clip(options.clip) if options.clip else scene.clips[0]
-    if not options.out.is_dir():
-        raise PrtnetError(options.out, "is no folder to save pictures in; make it, or give another")
+    pictures_folder(options.out)
     view = View(
         clip.name, clip.start, light=options.light, lobes=options.lobes, brdf=options.brdf,
         factors=options.factors, order=order_of(options.order, cast.actor.model.order),

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from prtnet.all_frequency_file import load_fields
+from prtnet.cli_arguments import pictures_folder
 from prtnet.environment import environment
-from prtnet.errors import PrtnetError
 from prtnet.limits import MOST_PIXELS, MOST_THREADS, check_side, check_within
 from prtnet.presets import PRESETS
 
@@ -64,8 +64,7 @@ def opened_all_frequency_viewer(
     environments = functools.cache(environment)
     environments(options.light)
     fields = load_fields(options.field)
-    if not options.out.is_dir():
-        raise PrtnetError(options.out, "is no folder to save pictures in; make it, or give another")
+    pictures_folder(options.out)
     view = AllFrequencyView(light=options.light, turning=options.turning)
     desk = AllFrequencyDesk(list(PRESETS), options.out, say, load_fields)
     size = options.field.stat().st_size

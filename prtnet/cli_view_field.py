@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
+from prtnet.cli_arguments import pictures_folder
 from prtnet.cli_field_truth import traced_anew
 from prtnet.cli_render_field import BUILT_IN, fitted_to, read_field, worn_by
 from prtnet.environment import environment
@@ -81,8 +82,7 @@ def opened_field_viewer(
     if options.clip and cast.worn.scene is None:
         raise PrtnetError("--clip", "is of a scene that moves; name it with --on")
     clip = cast.worn.clip(options.clip)
-    if not options.out.is_dir():
-        raise PrtnetError(options.out, "is no folder to save pictures in; make it, or give another")
+    pictures_folder(options.out)
     view = FieldView(
         "" if clip is None else clip.name, 0.0 if clip is None else clip.start, options.twist,
         count=options.lobes, light=options.light,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 
 import moderngl
 import numpy as np
@@ -17,7 +16,7 @@ from runtime.all_frequency import gathered, seen_from, transformed
 from runtime.all_frequency_shader import draw_shaders, seen_shaders, sum_shaders
 from runtime.all_frequency_stage import AllFrequencyStage
 from runtime.camera import Camera
-from runtime.gl import create_context, pixels_of
+from runtime.gl import pixels_of
 from runtime.picture import auto_exposure, srgb_encode
 from runtime.rasteriser import rasterise
 from tests.all_frequency import ball, random_field
@@ -28,14 +27,6 @@ pytestmark = pytest.mark.gl
 SIZE = (120, 100)
 CAMERA = Camera((1.5, 1.2, 4.4), (0.0, 0.0, 0.0))
 WEB = "300 es\nprecision highp float;\nprecision highp int;"
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[moderngl.Context]:
-    made = create_context()
-    with made:
-        yield made
-    made.release()
 
 
 def soft(field: AllFrequencyField) -> AllFrequencyField:

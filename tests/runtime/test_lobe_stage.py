@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 
 import moderngl
 import numpy as np
@@ -19,7 +18,7 @@ from prtnet.lobe_fit import lobe_field
 from prtnet.sh import evaluate
 from prtnet.transfer import Patch, Surface, TransferField
 from runtime.camera import Camera
-from runtime.gl import create_context, pixels_of
+from runtime.gl import pixels_of
 from runtime.lobe_picture import drawn_by_numpy
 from runtime.lobe_shader import mesh_shaders, patch_shaders
 from runtime.lobe_shading import LobeLight, light_table
@@ -31,14 +30,6 @@ pytestmark = pytest.mark.gl
 SIZE = (120, 100)
 CAMERA = Camera((0.5, 0.4, 2.4), (0.0, 0.0, 0.0))
 WEB = "300 es\nprecision highp float;\nprecision highp int;"
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[moderngl.Context]:
-    made = create_context()
-    with made:
-        yield made
-    made.release()
 
 
 def bumpy(rows: int, order: int, tiles: tuple[bool, bool] = (True, True)) -> TransferField:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
 
 import moderngl
 import numpy as np
@@ -15,7 +14,6 @@ from prtnet.glsl import harmonics_glsl
 from prtnet.one_dimensional import OneDimensional
 from prtnet.phong import phong_transfer, phong_zonal
 from prtnet.zh import Lobes, exact_lobes
-from runtime.gl import create_context
 from runtime.material_shader import most_lobes
 from runtime.one_dimensional import (
     LobeSide,
@@ -86,15 +84,6 @@ void main() {
         false, frame, view, diffuse, specular, exponent, transmitted, shadowed, other);
 }
 """
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[moderngl.Context]:
-    made = create_context()
-    with made:
-        made.framebuffer([made.texture((1, 1), 4)]).use()  # nothing is drawn without any
-        yield made
-    made.release()
 
 
 def texture(context: moderngl.Context, array: np.ndarray, held: contextlib.ExitStack, unit: int):
