@@ -306,12 +306,11 @@ def render_field(argv: Sequence[str]) -> None:
 
 def render_all_frequency(argv: Sequence[str]) -> None:
     """Draw an object with all-frequency transfer."""
-    from prtnet.cli_arguments import check_output, named_options, refuse
-    from prtnet.cli_options import NO_MOVIE
+    from prtnet.cli_arguments import check_output, named_options
     from prtnet.cli_render_all_frequency import AllFrequencyOptions, make_all_frequency_pictures
 
     options, session = arguments("render", argv, AllFrequencyOptions)
-    refuse(named_options(argv), {} if options.moving else {"fps": NO_MOVIE})
+    options.refuse_idle(named_options(argv))
     check_output(options.out, *options.inputs())
     work = threads(options.threads), session.console
     session.finish(make_all_frequency_pictures(options, *work))
@@ -424,7 +423,7 @@ def bake_all_frequency(argv: Sequence[str]) -> None:
 def demo(argv: Sequence[str]) -> None:
     """Everything, on the bundled character."""
     from prtnet.cli_arguments import output_folder
-    from prtnet.cli_demo import QUICK_EDGE, demo_steps
+    from prtnet.cli_demo import demo_steps, edge
     from prtnet.cli_options import DemoOptions
 
     options, session = arguments("demo", argv, DemoOptions)
@@ -433,8 +432,7 @@ def demo(argv: Sequence[str]) -> None:
     from data_gen.gltf_writer import write_glb
     from data_gen.procedural import HELD_OUT, mannequin
 
-    character = mannequin(QUICK_EDGE) if options.quick else mannequin()
-    write_glb(character, options.out / "mannequin.glb")
+    write_glb(mannequin(edge(options.quick)), options.out / "mannequin.glb")
     for step in demo_steps(options.out, HELD_OUT, options.quick):
         session.console.message(f"\n$ prtnet {shlex.join(step)}")
         dispatch([*step, "--quiet"] if session.console.quiet else step)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -16,7 +16,8 @@ import numpy as np
 from tyro.conf import Positional
 
 from prtnet.all_frequency_file import facts, load_fields
-from prtnet.cli_options import CAMERA_BOUNDS, check_bounds, check_pictures
+from prtnet.cli_arguments import refuse
+from prtnet.cli_options import CAMERA_BOUNDS, NO_MOVIE, check_bounds, check_pictures
 from prtnet.cube_map import segment_coefficients
 from prtnet.environment import about_up, environment
 from prtnet.errors import PrtnetError
@@ -67,6 +68,10 @@ class AllFrequencyOptions:
             raise PrtnetError("--keep", "is missing: say how many wavelets of the light are kept")
         if self.spin is None and (self.moving or self.spins == "light"):
             raise PrtnetError("--spin", "is missing: say how many pictures go all around")
+
+    def refuse_idle(self, named: Mapping[str, str]) -> None:
+        """Refuse options that would do nothing, of those named as ``named_options`` tells."""
+        refuse(named, {} if self.moving else {"fps": NO_MOVIE})
 
     @property
     def moving(self) -> bool:
