@@ -8,7 +8,7 @@ READY := $(VENV)/.installed
 READY_DEV := $(VENV)/.installed-dev
 PYTEST_ARGS ?= -n auto --maxprocesses 8 --dist loadfile
 
-.PHONY: demo test lint dist pins audit bench clean
+.PHONY: demo test lint hard dist pins audit bench clean
 
 demo: $(READY)  ## the whole pipeline on the bundled character; pictures in demo/
 	$(BIN)/prtnet demo --out demo
@@ -31,6 +31,9 @@ pins: $(READY_DEV)  ## constraints.txt and docs/licences.md, of what is installe
 
 audit: $(READY_DEV)  ## known vulnerabilities of what is pinned; says so where nobody can be asked
 	@$(BIN)/python -m scripts.audit || [ $$? = 3 ]
+
+hard: $(READY_DEV)  ## the numerical torture tests; what each measured goes into docs/hard-cases.md
+	$(BIN)/python -m pytest $(PYTEST_ARGS) tests/hard_cases --hypothesis-profile=ci --hard-table docs/hard-cases.md
 
 bench: $(READY_DEV)  ## every number of docs/benchmarks.md and docs/papers.md
 	@set -e; for script in $(filter-out bench/tables.py bench/charts.py,$(sort $(wildcard bench/[a-z]*.py))); do \

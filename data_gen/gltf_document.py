@@ -56,7 +56,8 @@ class Element:
 
     def fail(self, message: str, advice: str = ADVICE) -> NoReturn:
         """Raise the ``PrtnetError`` that says so about this place."""
-        raise PrtnetError(self.path, f"{self.where}: {message}; {advice}")
+        where = f"{self.where}: " if self.where else ""
+        raise PrtnetError(self.path, f"{where}{message}; {advice}")
 
     def integer(self, key: str, default: int | None = None, limit: int | None = None) -> int:
         """A non-negative integer, below ``limit`` if given."""

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from bench.fuzz_gltf import mutated, outcome, small_scene
 from data_gen.gltf_writer import write_glb
 from data_gen.readers import read_scene
-from prtnet.errors import PrtnetError
 from tests.gltf_builder import Builder, pack, unpack
+from tests.hard_cases.measured import refuses, says
 
 Edit = Callable[[dict[str, Any]], object]
 
@@ -31,7 +31,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 def refused(path: Path, data: bytes) -> str:
     path.write_bytes(data)
-    with pytest.raises(PrtnetError) as caught:
+    with refuses() as caught:
         read_scene(path)
     assert caught.value.subject == str(path)
     return caught.value.message
@@ -137,17 +137,16 @@ def test_one_line_for_every_mistake(tmp_path: Path, small: bytes, name: str) -> 
     edit(document)
     path = tmp_path / "x.glb"
     path.write_bytes(pack(json.dumps(document).encode(), data))
-    with pytest.raises(PrtnetError) as caught:
+    with refuses() as caught:
         read_scene(path)
-    assert message in caught.value.message
-    assert "\n" not in str(caught.value)
+    says(str(caught.value), message)
 
 
 def test_missing_external_buffers_are_named(tmp_path: Path, small: bytes) -> None:
     document, data = unpack(small)
     document["buffers"][0]["uri"] = "gone.bin"
     (tmp_path / "x.glb").write_bytes(pack(json.dumps(document).encode(), data))
-    with pytest.raises(PrtnetError, match=r"gone\.bin"):
+    with refuses(match=r"gone\.bin"):
         read_scene(tmp_path / "x.glb")
 
 
@@ -170,19 +169,19 @@ def test_every_truncation(tmp_path: Path, small: bytes) -> None:
     ids=["empty", "list", "no text", "deep", "long number", "bare", "html"],
 )
 def test_other_documents(tmp_path: Path, text: bytes, message: str) -> None:
-    assert message in refused(tmp_path / "x.gltf", text)
+    says(refused(tmp_path / "x.gltf", text), message)
 
 
 def test_other_files(tmp_path: Path) -> None:
     for name in ("x.glb", "x.gltf", "x.npz"):
-        with pytest.raises(PrtnetError, match=r"cannot be read|does not exist"):
+        with refuses(match=r"cannot be read|does not exist"):
             read_scene(tmp_path / name)
         (tmp_path / name).mkdir()
-        with pytest.raises(PrtnetError):
+        with refuses():
             read_scene(tmp_path / name)
-    with pytest.raises(PrtnetError, match=r"\.glb, \.gltf, \.npz"):
+    with refuses(match=r"\.glb, \.gltf, \.npz"):
         read_scene(tmp_path / "x.fbx")
-    assert "version 1" in refused(tmp_path / "old.glb", b"glTF\x01" + bytes(30))
+    says(refused(tmp_path / "old.glb", b"glTF\x01" + bytes(30)), "version 1")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -201,7 +200,7 @@ def test_numbers_that_are_not_finite(tmp_path: Path, small: bytes, where: str, b
     damaged = bytearray(data)
     damaged[view["byteOffset"] : view["byteOffset"] + 4] = np.float32(bad).tobytes()
     text = json.dumps(document).encode()
-    assert "not finite" in refused(tmp_path / "x.glb", pack(text, bytes(damaged)))
+    says(refused(tmp_path / "x.glb", pack(text, bytes(damaged))), "not finite")
 
 
 def test_index_and_key_times_out_of_range(tmp_path: Path) -> None:
@@ -213,10 +212,10 @@ def test_index_and_key_times_out_of_range(tmp_path: Path) -> None:
         return b.glb(tmp_path / "y.glb").read_bytes()
 
     path = tmp_path / "x.glb"
-    assert "only 3 vertices" in refused(path, build([0, 1, 3], [0, 1]))
-    assert "whole triangles" in refused(path, build([0, 1], [0, 1]))
-    assert "backwards" in refused(path, build([0, 1, 2], [0, 2, 1]))
-    assert "beyond" in refused(path, build([0, 1, 2], [0, 1e6]))
+    says(refused(path, build([0, 1, 3], [0, 1])), "only 3 vertices")
+    says(refused(path, build([0, 1], [0, 1])), "whole triangles")
+    says(refused(path, build([0, 1, 2], [0, 2, 1])), "backwards")
+    says(refused(path, build([0, 1, 2], [0, 1e6])), "beyond")
     path.write_bytes(build([0, 0, 0], [0, 1]))  # no area: rays cope with it
     assert len(read_scene(path).faces) == 1
 
@@ -228,7 +227,7 @@ def test_transforms_that_overflow_together(tmp_path: Path) -> None:
     b.json["nodes"] = [{"mesh": 0, "scale": [1e38] * 3}]
     b.json["nodes"] += [{"children": [i], "scale": [1e38] * 3} for i in range(depth)]
     b.json["scenes"] = [{"nodes": [depth]}]
-    assert "overflow" in refused(tmp_path / "x.glb", b.glb(tmp_path / "y.glb").read_bytes())
+    says(refused(tmp_path / "x.glb", b.glb(tmp_path / "y.glb").read_bytes()), "overflow")
 
 
 def test_many_copies_do_not_exhaust_memory(tmp_path: Path) -> None:
@@ -236,7 +235,7 @@ def test_many_copies_do_not_exhaust_memory(tmp_path: Path) -> None:
     b.mesh(np.zeros((30000, 3)))
     b.json["nodes"] = [{"mesh": 0}] * 1000
     b.json["scenes"] = [{"nodes": list(range(1000))}]
-    assert "vertices" in refused(tmp_path / "x.glb", b.glb(tmp_path / "y.glb").read_bytes())
+    says(refused(tmp_path / "x.glb", b.glb(tmp_path / "y.glb").read_bytes()), "vertices")
 
 
 def test_many_morph_targets_do_not_exhaust_memory(tmp_path: Path) -> None:
@@ -244,7 +243,7 @@ def test_many_morph_targets_do_not_exhaust_memory(tmp_path: Path) -> None:
     primitive = b.mesh(np.zeros((30000, 3)))
     primitive["targets"] = [{}] * 3000
     b.json["nodes"] = [{"mesh": 0}]
-    assert "morph targets" in refused(tmp_path / "x.glb", b.glb(tmp_path / "y.glb").read_bytes())
+    says(refused(tmp_path / "x.glb", b.glb(tmp_path / "y.glb").read_bytes()), "morph targets")
 
 
 def test_a_deep_hierarchy_is_no_recursion(tmp_path: Path) -> None:
