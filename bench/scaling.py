@@ -1,4 +1,4 @@
-"""How far blocks of poses scale over workers: real tasks on one and two, stubs for the scheduler.
+"""How far commands scale over workers: real tasks on one and two, stubs for the scheduler.
 
     python bench/scaling.py [STUBS] [--write]
 
@@ -22,11 +22,17 @@ from data_gen.generate import GenerateConfig, generate
 from data_gen.gltf_writer import write_glb
 from data_gen.procedural import mannequin
 from data_gen.readers import read_scene
+from prtnet.cli import run
 from prtnet.executor import Cluster
 
 PAGE = ROOT / "docs" / "cluster.md"
 CONFIG = GenerateConfig(count=16, rays=256, threads=1, block=4)
 STUBS = 100_000
+COMMANDS = {
+    "train": "train {folder}/1.zarr --alpha 0.003 --clusters 48 --networks 4 --threads 1",
+    "bake": "bake bumps --size 96x96 --lobes 3 --threads 1",
+    "bake-all-frequency": "bake-all-frequency {folder}/mannequin.glb --vertices 2000 --texels 16",
+}  # with a cluster; what it leaves to one thread is in the seconds
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,20 @@ def traced(count: int, folder: Path) -> tuple[int, float]:
         return -(-summary.poses // CONFIG.block), time.perf_counter() - started
 
 
+def seconds_of(words: str, count: int, folder: Path) -> float:
+    """Of a command on so many workers that have done it once, so that they know the packages."""
+    out = folder / "out.safetensors"
+    with workers(count) as cluster:
+        address = f"--out {out} --cluster {cluster.scheduler_address} --quiet"
+        argv = [*words.format(folder=folder).split(), *address.split()]
+        for _ in range(2):
+            started = time.perf_counter()
+            if run(argv) != 0:
+                raise SystemExit(f"{words} failed")
+            taken = time.perf_counter() - started
+        return taken
+
+
 def stubs(count: int, folder: Path, number: int) -> float:
     del folder
     with workers(count) as cluster:
@@ -73,7 +93,12 @@ def main() -> None:
         _, both = traced(2, folder)
         for count, seconds in ((1, alone), (2, both)):
             each, efficiency = f"{1e3 * seconds / blocks:.1f}", alone / seconds / count
-            rows.append(["mannequin", count, blocks, f"{seconds:.1f}", each, f"{efficiency:.0%}"])
+            rows.append(["generate", count, blocks, f"{seconds:.1f}", each, f"{efficiency:.0%}"])
+        for name, words in COMMANDS.items():
+            one, two = (seconds_of(words, count, folder) for count in (1, 2))
+            for count, seconds in ((1, one), (2, two)):
+                efficiency = f"{one / seconds / count:.0%}"
+                rows.append([name, count, "–", f"{seconds:.1f}", "–", efficiency])
         for some in (number // 100, number // 10, number):
             seconds = stubs(2, folder, some)
             rows.append(["stubs", 2, some, f"{seconds:.1f}", f"{1e3 * seconds / some:.2f}", "–"])
@@ -82,7 +107,7 @@ def main() -> None:
     note = f"At {alone / blocks:.2f} s a block one scheduler keeps up with {keeps:.0f} workers."
     publish(
         "scaling",
-        ("tasks", "workers", "blocks", "seconds", "ms a block", "efficiency"),
+        ("work", "workers", "blocks", "seconds", "ms a block", "efficiency"),
         rows,
         note,
         PAGE,
