@@ -24,7 +24,7 @@ from runtime.all_frequency import representative_starts
 __all__ = ["Products", "Runs", "Sums", "vertex_runs"]
 
 FULL = 0.3  # of a column: from here on its zeros cost less than the places of its numbers
-FEW = 0.3  # of the light's coefficients: up to here columns are picked out
+FEW = 0.1  # of the light's coefficients: up to here columns are picked out
 
 
 @dataclass(frozen=True, eq=False)
