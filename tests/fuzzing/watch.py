@@ -1,0 +1,109 @@
+"""What a reader may do with a file: read it and what lies beside it, or refuse it in one line.
+
+An audit hook sees every file that Python opens and every step towards the network, other programs
+and pickles. Nothing else of Python can be watched from inside: memory and time have limits of the
+process (``bounded``), and ``bench/fuzz.py`` ends processes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from prtnet.errors import PrtnetError
+
+__all__ = ["BreachError", "bounded", "outcome"]
+
+FORBIDDEN = (
+    "socket.connect", "socket.getaddrinfo", "socket.gethostbyname", "socket.sendto", "urllib.Request",
+    "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.fork", "pickle.find_class",
+    "os.remove", "os.rename", "os.mkdir", "os.truncate", "os.symlink", "shutil.copyfile",
+)  # fmt: skip
+MODULES = (".py", ".pyc", ".so")  # that are imported late
+WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
+LONGEST = 2000  # characters of a line that somebody reads
+
+
+class BreachError(Exception):
+    """A reader did what no file may make it do."""
+
+
+class Watch:
+    """The audit hook; a process has one, since none can be taken out again."""
+
+    def __init__(self) -> None:
+        self.folder: str | None = None
+        self.breaches: list[str] = []
+
+    def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
+        """Note what is out of bounds while a folder is watched."""
+        if self.folder is None:
+            return
+        if event in FORBIDDEN:
+            self.breaches.append(f"{event} {arguments!r:.200}")
+        elif event == "open" and isinstance(arguments[0], (str, bytes)):
+            name, flags = os.fsdecode(arguments[0]), arguments[2]
+            if "\0" in name or name.endswith(MODULES):
+                return
+            inside = os.path.realpath(name).startswith((self.folder, sys.prefix, sys.base_prefix))
+            if not inside or flags & WRITES:
+                self.breaches.append(f"open {name[:200]}")
+
+
+WATCH = Watch()
+sys.addaudithook(WATCH)
+
+
+@contextlib.contextmanager
+def watched(folder: Path) -> Iterator[None]:
+    """Only files of a folder may be opened.
+
+    Raises:
+        BreachError: something else was done.
+    """
+    WATCH.breaches.clear()
+    WATCH.folder = os.path.realpath(folder)
+    try:
+        yield
+    finally:
+        WATCH.folder = None
+        if WATCH.breaches:
+            raise BreachError("; ".join(WATCH.breaches[:3]))
+
+
+@contextlib.contextmanager
+def bounded(room: int) -> Iterator[None]:
+    """No more address space than is taken now and ``room`` bytes."""
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    before, most = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (taken + room, most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (before, most))
+
+
+def outcome(use: Callable[[Path], object], path: Path) -> str:
+    """``read`` or ``refused``; what else a reader does passes through.
+
+    Raises:
+        BreachError: it left the file's folder, or its refusal is no line that can be printed.
+        Exception: any other that it raised, or any warning.
+    """
+    with watched(path.parent), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            use(path)
+        except PrtnetError as error:
+            words = str(error)
+            words.encode()
+            if "\n" in words or len(words) > LONGEST:
+                raise BreachError(f"a refusal of {len(words)} characters: {words:.200}") from error
+            return "refused"
+    return "read"
