@@ -30,6 +30,7 @@ COMPONENTS: dict[int, np.dtype[Any]] = {
     5125: np.dtype("<u4"),
     5126: np.dtype("<f4"),
 }
+LONGEST = 1024  # characters of the name of a buffer
 SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
@@ -178,6 +179,21 @@ class Buffers:
                     element.path, f"{element.where}: its base64 is damaged; export it again"
                 ) from error
         name = unquote(uri)
-        if "://" in name or "\0" in name or Path(name).is_absolute():
-            element.fail("is not in a file beside this one", "download its buffers first")
+        if (
+            "://" in name
+            or "\0" in name
+            or len(name) > LONGEST
+            or not inside(element.path.parent, name)
+        ):
+            element.fail(
+                "is not in a file beside this one", "put its buffers into its folder first"
+            )
         return memoryview(read_bytes(element.path.parent / name))
+
+
+def inside(folder: Path, name: str) -> bool:
+    """Whether a name, its symbolic links followed, is one of something in a folder."""
+    try:
+        return (folder / name).resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):  # links in a circle
+        return False

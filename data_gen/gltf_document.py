@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from prtnet import files
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 
@@ -24,6 +25,7 @@ __all__ = ["Document", "Element", "parse", "read_bytes"]
 
 MAGIC = b"glTF"
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+MOST_BYTES = 2**32 - 1  # of a .glb, by its own header
 LARGEST = float(np.finfo(np.float32).max)
 ADVICE = "the file is damaged; export it again"
 
@@ -172,13 +174,16 @@ def read_bytes(path: Path) -> bytes:
     Raises:
         PrtnetError: it does not exist or cannot be read.
     """
-    if path.exists() and not path.is_file():
-        raise PrtnetError(path, "is not a file; give a .glb, .gltf or .npz scene")
     try:
-        return path.read_bytes()
+        if path.exists() and not path.is_file():
+            raise PrtnetError(path, "is not a file; give a .glb, .gltf or .npz scene")
+        data = files.read_bytes(path, MOST_BYTES)
     except OSError as error:
         reason = error.strerror or str(error)
         raise PrtnetError(path, f"cannot be read ({reason}); check the path") from error
+    if data is None:
+        raise PrtnetError(path, f"has over {MOST_BYTES} bytes; export it in parts")
+    return data
 
 
 def parse(path: Path, data: bytes) -> Document:

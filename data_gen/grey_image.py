@@ -17,6 +17,8 @@ __all__ = ["PICTURES", "read_grey"]
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".tga", ".pgm", ".exr")
 LARGEST = 1 << 26  # pixels
+# Of all that Pillow knows: for some others it runs programs (Ghostscript for EPS).
+FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "TGA", "PPM")
 
 
 def read_grey(path: str | Path, texels: tuple[int, int] | None = None) -> FloatArray:
@@ -33,7 +35,8 @@ def read_grey(path: str | Path, texels: tuple[int, int] | None = None) -> FloatA
         PrtnetError: it is no picture, too large, or holds NaN or +∞.
     """
     path = Path(path)
-    grey = read_exr(path) @ REC709 if path.suffix.lower() == ".exr" else decoded(path)
+    with np.errstate(invalid="ignore"):  # what is no number is told below
+        grey = read_exr(path) @ REC709 if path.suffix.lower() == ".exr" else decoded(path)
     if np.isnan(grey).any():
         count = int(np.isnan(grey).sum())
         raise PrtnetError(path, f"holds {count} values that are not numbers (NaN); repair it")
@@ -53,7 +56,7 @@ def decoded(path: Path) -> FloatArray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            with Image.open(path) as picture:
+            with Image.open(path, formats=FORMATS) as picture:
                 if picture.width * picture.height > LARGEST:
                     raise PrtnetError(path, "has too many pixels; resample it first")
                 return grey_of(picture)

@@ -19,7 +19,7 @@ __all__ = ["read_point_cache"]
 
 SLOWEST, FASTEST = 1e-3, 1e6  # frames a second that somebody may mean
 # A few kilobytes can unpack to any size: beyond the first bound the second one must hold.
-LARGE_BYTES, LARGEST_RATIO = 2**30, 100
+LARGE_BYTES, LARGEST_RATIO = 2**26, 100
 
 
 def read_point_cache(path: Path) -> PointCacheScene:

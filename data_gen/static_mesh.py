@@ -6,6 +6,7 @@ Triangles without an area and vertices in no other triangle are dropped: what is
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,8 +68,10 @@ def loaded(path: Path) -> tuple[FloatArray, IntArray, FloatArray]:
 
     if not path.is_file():
         raise PrtnetError(path, "does not exist or is no file; check the name")
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs tracebacks
     try:
-        mesh = trimesh.load_mesh(path, process=False)
+        with open(path, "rb") as file:  # of a stream no materials and pictures are looked for
+            mesh = trimesh.load_mesh(file, path.suffix[1:].lower(), process=False)
         positions = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
         normals = ply_normals(mesh.metadata)

@@ -14,7 +14,7 @@ import numpy as np
 import safetensors
 import safetensors.numpy
 
-from prtnet.errors import PrtnetError
+from prtnet.errors import MISFITS, PrtnetError
 from prtnet.files import writing
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
 MODEL, TRANSFER, LOBES = "prtnet", "prtnet-transfer", "prtnet-lobes"
 ALL_FREQUENCY = "prtnet-all-frequency"
 BLOCK = "prtnet-block"  # of a larger work, from one machine to another
+UNREADABLE = (OSError, MemoryError, RecursionError, safetensors.SafetensorError)
 MADE_BY = {
     MODEL: ("model", "train one first"),
     TRANSFER: ("transfer field", "bake one first"),
@@ -82,7 +83,8 @@ def read_arrays(path: str | Path, key: str) -> tuple[dict[str, Any], dict[str, A
             text = (file.metadata() or {}).get(key)
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         header = json.loads(text) if text else None
-    except (OSError, ValueError, TypeError, safetensors.SafetensorError) as error:
+        json.dumps(header, ensure_ascii=False).encode()  # lone surrogates cannot be printed
+    except (*UNREADABLE, *MISFITS) as error:
         raise PrtnetError(path, f"is damaged or no safetensors file ({error})") from error
     if not isinstance(header, dict):
         other = header_key(path)
@@ -97,7 +99,7 @@ def header_key(path: str | Path) -> str | None:
     try:
         with safetensors.safe_open(path, framework="numpy") as file:
             known = file.metadata() or {}
-    except (OSError, safetensors.SafetensorError):
+    except UNREADABLE:
         return None
     return next((key for key in MADE_BY if key in known), None)
 

@@ -23,7 +23,8 @@ import zarr
 from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.errors import PrtnetError
+from prtnet.dataset_checks import check_attributes, check_fit, check_folder, check_stored
+from prtnet.errors import MISFITS, PrtnetError
 from prtnet.files import finish, remove
 
 __all__ = [
@@ -43,6 +44,8 @@ SAMPLED = "sampled"  # the name of the clip that sampled poses belong to
 # Chunks of zeros are files too: one that is missing is then always a damaged copy. Of arrays, since
 # what is set for all of Zarr is set for all threads.
 EVERY_CHUNK: Any = {"write_empty_chunks": True}
+# What Zarr and Blosc make of damage: sizes below zero, or more than there is memory, among it.
+UNREADABLE = (OSError, RuntimeError, SystemError, MemoryError, *MISFITS)
 MARKERS = ".whole-blocks"
 MADE_WITH = "made_with"  # attribute: versions of what made it
 HEADERS = "headers_sha256"  # attribute: of every array's zarr.json, and of the other attributes
@@ -91,7 +94,7 @@ class Rows:
             if isinstance(index, (int, slice)):
                 return np.asarray(self._array[index])
             return np.asarray(self._array.oindex[np.arange(len(self))[index]])
-        except (ValueError, RuntimeError, OSError) as error:
+        except UNREADABLE as error:
             raise PrtnetError(self._path, self.complaint(index)) from error
 
     def complaint(self, index: int | slice | IntArray) -> str:
@@ -113,7 +116,7 @@ def readable(array: zarr.Array[Any], block: int) -> bool:
     size = array.chunks[0]
     try:
         np.asarray(array[block * size : (block + 1) * size])
-    except (ValueError, RuntimeError, OSError):
+    except UNREADABLE:
         return False
     return True
 
@@ -141,17 +144,19 @@ def opened(path: Path) -> zarr.Group:
         PrtnetError: it is none, of another format version, or a header is damaged.
     """
     try:
-        group = zarr.open_group(str(path), mode="r", zarr_format=3)
+        check_folder(path)
+        # Headers of arrays within the group's own have no checksum: they are not looked at.
+        group = zarr.open_group(str(path), mode="r", zarr_format=3, use_consolidated=False)
         attributes: dict[str, Any] = dict(group.attrs)
-    except (zarr.errors.GroupNotFoundError, OSError, ValueError, KeyError, TypeError) as error:
+    except UNREADABLE as error:
         if all(header_of(path, name).is_file() for name in POSE_ARRAYS):
             raise PrtnetError(path, f"its zarr.json is damaged; {MEND}") from error
         raise PrtnetError(path, "is not a dataset; make one with prtnet generate") from error
     version = attributes.get("format_version")
-    sums: dict[str, str] = attributes.get(HEADERS, {})  # datasets of old have none
+    sums: Any = attributes.get(HEADERS, {})  # datasets of old have none
     if sums or MADE_WITH in attributes:
         found = header_sums(path, attributes)
-        if found[SELF] != sums.get(SELF):
+        if not isinstance(sums, dict) or found[SELF] != sums.get(SELF):
             raise PrtnetError(path, f"its zarr.json is damaged; {MEND}")
     if version is None:
         raise PrtnetError(path, "is not a dataset; make one with prtnet generate")
@@ -221,6 +226,7 @@ class Dataset:
         self.joint_weights = self.joint_parents = None
         for name in ATTRIBUTES:
             setattr(self, name, self.attributes[name])
+        check_attributes(self.attributes)
         for name in FIXED_ARRAYS + (SKIN_ARRAYS if self.scene_kind == "skinned" else ()):
             setattr(self, name, self.read(name))
 
@@ -236,14 +242,20 @@ class Dataset:
             raise PrtnetError(path, "does not exist; make it with prtnet generate")
         group = opened(path)
         try:
+            arrays = {name: array_of(group, name) for name in POSE_ARRAYS}
+            fixed = FIXED_ARRAYS + (SKIN_ARRAYS if group.attrs["scene_kind"] == "skinned" else ())
+            for array in (*arrays.values(), *(array_of(group, name) for name in fixed)):
+                check_stored(path, array)
             dataset = cls(path, group)
-            arrays = [array_of(group, name) for name in POSE_ARRAYS]
+            for name, array in arrays.items():
+                short = array.shape[0] != arrays["visibility"].shape[0]
+                if short or array.nchunks_initialized != array.nchunks:
+                    raise PrtnetError(path, f"array '{name}' is not whole; {MEND}")
+            check_fit(arrays | {name: getattr(dataset, name) for name in fixed}, group.attrs)
         except KeyError as error:
             raise PrtnetError(path, f"has no {error}; generate it again") from error
-        for array in arrays:
-            short = array.shape[0] != arrays[0].shape[0]
-            if short or array.nchunks_initialized != array.nchunks:
-                raise PrtnetError(path, f"array '{array.basename}' is not whole; {MEND}")
+        except UNREADABLE as error:
+            raise PrtnetError(path, f"does not fit together ({error}); {MEND}") from error
         return dataset
 
     def rows(self, name: str) -> Rows:

@@ -28,6 +28,7 @@ from prtnet.dataset import (
     readable,
     writable,
 )
+from prtnet.dataset_checks import check_folder
 from prtnet.errors import PrtnetError
 from prtnet.files import remove
 
@@ -61,6 +62,7 @@ class DatasetRepair(DatasetWriter):
         self.mended: list[str] = []
         if not header_of(self.path, "").is_file():
             raise PrtnetError(path, "is no dataset to repair; leave out --repair to make it")
+        check_folder(self.path)
         sound = self.path.with_name(f".{self.path.name}.repair")
         with self._disk():
             remove(sound)

@@ -6,7 +6,10 @@ import difflib
 from collections.abc import Iterable
 from pathlib import Path
 
-__all__ = ["PrtnetError", "nearest_name"]
+__all__ = ["MISFITS", "PrtnetError", "nearest_name"]
+
+# What taking damaged headers and arrays apart may raise.
+MISFITS = (ArithmeticError, AttributeError, IndexError, KeyError, TypeError, ValueError)
 
 
 class PrtnetError(Exception):
@@ -21,7 +24,8 @@ class PrtnetError(Exception):
 
     def __init__(self, subject: str | Path, message: str) -> None:
         self.subject = str(subject)
-        self.message = " ".join(message.split())
+        # What files say of themselves, lone surrogates too, must not break the line.
+        self.message = " ".join(message.split()).encode("utf-8", "replace").decode()
         super().__init__(f"{self.subject}: {self.message}")
 
     def __reduce__(self) -> tuple[type[PrtnetError], tuple[str, str]]:

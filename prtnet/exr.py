@@ -1,10 +1,11 @@
-"""OpenEXR pictures: a reader of what a light needs, on top of the format's own library.
-
-A damaged file also makes the library write lines of its own to the standard error stream.
-"""
+"""OpenEXR pictures: a reader of what a light needs, on top of the format's own library."""
 
 from __future__ import annotations
 
+import contextlib
+import io
+import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from prtnet.hdr import PIXEL_LIMIT
 
 __all__ = ["read_exr"]
 
+DAMAGED = "is damaged or cut short; fetch or write it again"
 MAGIC = b"\x76\x2f\x31\x01"
 
 
@@ -37,7 +39,10 @@ def read_exr(path: str | Path) -> FloatArray:
     if start != MAGIC:
         raise PrtnetError(path, "is not an OpenEXR picture; convert the light to that format")
     header = opened(path, header_only=True).header
-    known = {channel.name: channel for channel in header["channels"]}
+    try:
+        known = {channel.name: channel for channel in header["channels"]}
+    except (KeyError, UnicodeDecodeError) as error:
+        raise PrtnetError(path, DAMAGED) from error
     names = ["Y"] * 3 if "Y" in known and not {"RY", "BY"} & set(known) else ["R", "G", "B"]
     if missing := [name for name in names if name not in known]:
         raise PrtnetError(
@@ -71,7 +76,23 @@ def opened(path: str | Path, header_only: bool) -> Any:
     import OpenEXR
 
     try:
-        return OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts[0]
+        with hushed():
+            return OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts[0]
     except (RuntimeError, ValueError, TypeError, IndexError, MemoryError) as error:
-        message = "is damaged or cut short; fetch or write it again"
-        raise PrtnetError(path, message) from error
+        raise PrtnetError(path, DAMAGED) from error
+
+
+@contextlib.contextmanager
+def hushed() -> Iterator[None]:
+    """What a library writes of itself to the process's output and error streams is lost."""
+    kept = {stream: os.dup(stream) for stream in (1, 2)}
+    try:
+        with open(os.devnull, "wb") as nothing:
+            for stream in kept:
+                os.dup2(nothing.fileno(), stream)
+        with contextlib.redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        for stream, own in kept.items():
+            os.dup2(own, stream)
+            os.close(own)

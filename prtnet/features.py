@@ -14,6 +14,7 @@ import numpy as np
 
 from prtnet import sh
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.limits import check_order
 from prtnet.occluders import Spheres, cap_integrals
 
 __all__ = [
@@ -283,7 +284,13 @@ def features_from_arrays(kind: str, arrays: dict[str, Any]) -> Features:
 
     Raises:
         KeyError: an array is missing, or the kind is unknown.
+        ValueError: an index is below zero, or the order too high.
     """
+    indices = ("joint", "parent", "edge", "cluster_joint", "near", "sphere_joint")
+    if any(
+        np.min(arrays[name], initial=0) < -(name == "parent") for name in indices if name in arrays
+    ):
+        raise ValueError("features point before their tables")
     if kind == DihedralAngles.kind:
         return DihedralAngles(arrays["edge"])
     joints = int(arrays["joints"][0])
@@ -292,6 +299,7 @@ def features_from_arrays(kind: str, arrays: dict[str, Any]) -> Features:
     if kind == LocalJoints.kind:
         return LocalJoints(arrays["cluster_joint"], arrays["reach"], joints)
     if kind == Occluders.kind:
+        check_order(int(arrays["order"][0]))
         spheres = Spheres(arrays["sphere_joint"], arrays["sphere_centre"], arrays["sphere_radius"])
         return Occluders(
             spheres, arrays["cluster_joint"], arrays["point"], arrays["near"],

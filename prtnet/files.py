@@ -8,12 +8,24 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
 from prtnet.errors import PrtnetError
 
-__all__ = ["file_sha256", "finish", "writing"]
+__all__ = ["file_sha256", "finish", "read_bytes", "writing"]
+
+
+def read_bytes(path: str | Path, most: int) -> bytes | None:
+    """A file's bytes; None where there are more than ``most``, or it is a device without an end.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with open(path, "rb") as file:
+        told = os.fstat(file.fileno())
+        return None if told.st_size > most or stat.S_ISCHR(told.st_mode) else file.read()
 
 
 def file_sha256(path: str | Path) -> str:

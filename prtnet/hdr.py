@@ -17,10 +17,12 @@ import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
+from prtnet.files import read_bytes
 
 __all__ = ["read_hdr"]
 
 PIXEL_LIMIT = 1 << 26  # 11585 x 5792 panoramas; 800 MB as floats
+MOST_BYTES = 5 * PIXEL_LIMIT  # run-length codes are not longer
 ROW_BLOCK = 64
 
 
@@ -31,10 +33,12 @@ def read_hdr(path: str | Path) -> FloatArray:
         PrtnetError: not such a file, cut short, or damaged.
     """
     try:
-        data = Path(path).read_bytes()
+        data = read_bytes(path, MOST_BYTES)
     except OSError as error:
         reason = error.strerror or str(error)
         raise PrtnetError(path, f"cannot be read ({reason}); check the name") from error
+    if data is None:
+        raise PrtnetError(path, f"has over {MOST_BYTES} bytes; use at most 11585x5792 pixels")
     if not data.startswith((b"#?RADIANCE", b"#?RGBE")):
         raise PrtnetError(path, "is not a Radiance .hdr picture; convert the light to that format")
     header, _, body = data.partition(b"\n\n")

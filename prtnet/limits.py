@@ -24,6 +24,7 @@ __all__ = [
     "MOST_TEXELS",
     "MOST_THREADS",
     "check_field_limits",
+    "check_order",
     "check_side",
     "check_within",
 ]
@@ -65,6 +66,12 @@ def check_side(subject: str, size: tuple[int, int] | None, most: int) -> None:
         raise PrtnetError(subject, f"is too large; give at most {most}x{most}")
 
 
+def check_order(order: int) -> None:
+    """Raise ValueError for a file of more bands than any command takes."""
+    if not 1 <= order <= MOST_ORDER:
+        raise ValueError(f"order {order}, of at most {MOST_ORDER}")
+
+
 def check_field_limits(
     order: int, rows: int, lobes: int | None, texels: tuple[int, ...] | None
 ) -> None:
@@ -76,8 +83,7 @@ def check_field_limits(
         lobes: of every row; None where it is transfer.
         texels: rows and columns of a patch; None for a mesh.
     """
-    if not 1 <= order <= MOST_ORDER:
-        raise ValueError(f"order {order}, of at most {MOST_ORDER}")
+    check_order(order)
     if rows > order**2:
         raise ValueError(f"{rows} rows, of at most {order**2} for this order")
     if lobes is not None and lobes > MOST_LOBES:

@@ -21,11 +21,13 @@ from prtnet import sh
 from prtnet.array_file import MODEL, read_arrays, write_arrays
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.components import Coding, coding, leading_bits
-from prtnet.errors import PrtnetError
+from prtnet.errors import MISFITS, PrtnetError
 from prtnet.features import Features, features_from_arrays
+from prtnet.limits import check_order
 from prtnet.lobe_numbers import LobeNumbers
 from prtnet.model_file import (
     ARRAYS,
+    check_answer,
     check_shapes,
     flattened,
     read_prior,
@@ -453,7 +455,9 @@ class VisibilityModel:
             storage = header.get("storage", "float32")
             if storage not in STORAGES:
                 raise ValueError(f"no storage is called {storage}")
-            arrays, how = with_components(restored(arrays), int(header["order"]), storage)
+            order = int(header["order"])
+            check_order(order)
+            arrays, how = with_components(restored(arrays), order, storage)
             arrays = unpack(arrays)
             neurons = arrays.pop("neurons", None)
             if neurons is not None and (neurons == neurons.max()).all():
@@ -464,7 +468,7 @@ class VisibilityModel:
                     parts[room][rest] = array
             model = cls(
                 kind=str(header["kind"]),
-                order=int(header["order"]),
+                order=order,
                 features=features_from_arrays(header["features"], parts["features"]),
                 regressor=Regressor(**parts["regressor"]),
                 **{name: arrays[name] for name in ARRAYS},
@@ -479,7 +483,8 @@ class VisibilityModel:
                 coding=how,
             )
             check_shapes(model)
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+            check_answer(model)
+        except MISFITS as error:
             raise PrtnetError(
                 path, f"is not a whole prtnet model ({error}); train it anew"
             ) from error

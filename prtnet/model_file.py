@@ -6,6 +6,7 @@ sake of one batched product, clusters differ in neurons, and groups in latents.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ARRAYS",
+    "check_answer",
     "check_shapes",
     "flattened",
     "read_prior",
@@ -31,6 +33,8 @@ __all__ = [
 ARRAYS = ("input_mean", "input_basis", "latents", "receivers", "mean", "basis", "rest_tangents")
 COMPONENTS = ("basis", "scale.basis", "coding.bits", "coding.orders", "coding.profile")
 INPUT_PCA = ("input_basis", "scale.input_basis")
+MOST_POSE = 1 << 24  # numbers of a pose: a cache of five million vertices
+MOST_NUMBERS = 1 << 26  # of an array of the regressor, those that nothing uses among them
 LAYERS = ("weight", "bias", "hidden_weight", "hidden_bias")  # of the regressor
 
 
@@ -47,7 +51,9 @@ def used_numbers(
     """
     count = neurons if hidden else latents
     if count is None:
-        count = np.full(shape[0], shape[-1])
+        count = np.full(shape[0], shape[-1], dtype=np.int32)
+    if (count < 0).any() or math.prod(shape) > MOST_NUMBERS:
+        raise ValueError("latents or neurons are below zero, or too many")
     last: BoolArray = np.asarray(np.arange(shape[-1]) < count[:, None])
     if len(shape) == 2:
         return last
@@ -254,3 +260,13 @@ def check_shapes(model: VisibilityModel) -> None:
     for name, array in every.items():
         if not np.isfinite(array).all():
             raise ValueError(f"{name} holds values that are not finite")
+
+
+def check_answer(model: VisibilityModel) -> None:
+    """Raise where a model cannot be evaluated: indices and sizes then do not fit each other."""
+    if not 0 < model.pose_size <= MOST_POSE:
+        raise ValueError(f"pose_size is {model.pose_size}")
+    with np.errstate(all="ignore"):  # zeros are no pose that anybody takes
+        answer = model(np.zeros((1, model.pose_size), dtype=np.float32))
+    if answer.shape != (1, model.receiver_count, model.order**2):
+        raise ValueError(f"visibility has shape {answer.shape}")

@@ -23,6 +23,7 @@ import scipy.sparse
 
 from prtnet import sh
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.limits import check_order
 from prtnet.occluders import cap_integrals
 from prtnet.scene import face_normals
 from prtnet.surroundings import Surroundings, fade
@@ -197,7 +198,10 @@ class PatchSurroundings(Surroundings):
         for name, convert in (("two_sided", bool), ("size", float), ("order", int)):
             named[name] = convert(named[name][0])
         made = cls(**named)
+        check_order(made.order)
         vertices, patches = made.patch.shape[1], int(made.patch.max()) + 1
+        if patches > made.patch.size:
+            raise ValueError("patch counts more patches than vertices")
         bounds = {
             "faces": vertices, "vertex": vertices, "carry_vertex": vertices, "control": vertices,
             "patch": patches, "near": patches,

@@ -24,6 +24,7 @@ import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.features import joint_matrices
+from prtnet.limits import check_order
 from prtnet.surroundings import SMALLEST, Surroundings, cap_sums
 
 __all__ = ["SkinSurroundings"]
@@ -194,6 +195,7 @@ class SkinSurroundings(Surroundings):
         for name, convert in (("joints", int), ("size", float), ("order", int)):
             named[name] = convert(named[name][0])
         made = cls(**named)
+        check_order(made.order)
         bounds = {
             "skin_joint": made.joints, "sphere_joint": made.joints, "patch_joint": made.joints,
             "own_joint": made.joints, "cluster": len(made.own_joint),

@@ -18,7 +18,7 @@ import numpy as np
 
 from prtnet.array_file import TRANSFER, read_arrays, write_arrays
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.errors import PrtnetError
+from prtnet.errors import MISFITS, PrtnetError
 from prtnet.limits import check_field_limits
 from prtnet.sh import order_of
 
@@ -192,8 +192,9 @@ def whole(path: str | Path, header: Mapping[str, Any], version: int, kind: str) 
         known = f"this prtnet reads {version}; bake it anew"
         raise PrtnetError(path, f"has format version {found}, {known}")
     try:
-        yield
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+        with np.errstate(all="ignore"):  # what overflows is not finite, which is refused
+            yield
+    except MISFITS as error:
         what = f"is not a whole prtnet {kind} ({error}); bake it anew"
         raise PrtnetError(path, what) from error
 

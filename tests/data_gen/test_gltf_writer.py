@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from bench.fuzz_gltf import small_scene
 from data_gen.gltf_writer import write_glb
 from data_gen.readers import read_scene
 from prtnet.animation import Channel, Clip
 from prtnet.errors import PrtnetError
 from prtnet.scene import SkinnedScene
 from tests.gltf_builder import Reference, unpack
+from tests.small_scene import small_scene
 
 FLOAT32 = 1e-6  # keys and matrices are stored as float32
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.fuzz_gltf import small_scene
 from data_gen.readers import read_scene
 from data_gen.scene_info import describe, moving_joints, open_edges
 from prtnet.animation import Channel, Clip
 from prtnet.scene import SkinnedScene
+from tests.small_scene import small_scene
 
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float32)

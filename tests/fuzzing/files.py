@@ -1,8 +1,7 @@
-"""What a case of fuzzing puts on the disk: files, symbolic links, and files that are mostly holes."""
+"""What a case of fuzzing puts on the disk: files, links, and files that are mostly holes."""
 
 from __future__ import annotations
 
-import os
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -58,8 +57,9 @@ class Place:
 
     @staticmethod
     def _write(path: Path, content: bytes | Link | Holed) -> None:
-        if os.path.lexists(path):
-            path.unlink()  # rather than through a link
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)  # empty ones, of another case
+        path.unlink(missing_ok=True)  # rather than write through a link
         path.parent.mkdir(parents=True, exist_ok=True)
         if isinstance(content, Link):
             path.symlink_to(content.to)

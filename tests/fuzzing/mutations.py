@@ -15,8 +15,8 @@ __all__ = ["altered_json", "damaged", "json_text", "mutate_json", "odd_array", "
 NUMBERS = [-1, 0, 1, 2, 3, 255, 65536, 2**31, 2**32, 2**63, 10**12, 10**30, 10**400, 0.5, -0.25]
 NUMBERS += [1e-40, 3.4e38, -1e38, 1e308, float("inf"), float("nan")]
 VALUES = [
-    *NUMBERS, True, None, "", "x", "VEC3", "\ud800", "../outside", "http://localhost/x", "/etc/passwd",
-    [], {}, [0], [[]], [-1, 99], [{}], [1e38],
+    *NUMBERS, True, None, "", "x", "VEC3", "\ud800", "../outside", "http://localhost/x",
+    "/etc/passwd", [], {}, [0], [[]], [-1, 99], [{}], [1e38],
 ]  # fmt: skip
 WORDS = [b"\xff\xff\xff\xff", b"\x00\x00\xc0\x7f", b"\x00\x00\x80\x7f", b"\xff\xff\x7f\x7f"]
 WORDS += [b"\x00\x00\x00\x00", b"\x00\x00\x00\x80", b"\x01\x00\x00\x00", b"\x00\x10\xa5\xd4"]

@@ -14,10 +14,11 @@ __all__ = ["URIS", "gltf"]
 
 URIS = [
     "../outside.bin", "%2e%2e/outside.bin", "in/../../outside.bin", "in.bin/../../outside.bin",
-    "./../case/../outside.bin", "link.bin", "links/outside.bin", "in.bin", "./in.bin", "in", ".", "..",
-    "/etc/hostname", "//localhost/x", "file:///etc/hostname", "http://localhost:9/x.bin",
-    "ftp://localhost/x", "HTTPS://localhost/x.bin", "data:;base64,", "data:,x", "x" * 5000, "a\0b",
-    "%00", "%ff%fe", "in.bin?x", "\\\\host\\x", "C:\\x", "~/x", "scene.gltf", "/dev/zero", "/dev/stdin",
+    "./../case/../outside.bin", "link.bin", "links/outside.bin", "in.bin", "./in.bin", "in",
+    ".", "..",    "/etc/hostname", "//localhost/x", "file:///etc/hostname", "http://localhost:9/x.bin",
+    "ftp://localhost/x", "HTTPS://localhost/x.bin", "data:;base64,", "data:,x", "x" * 5000,
+    "a\0b",    "%00", "%ff%fe", "in.bin?x", "\\\\host\\x", "C:\\x", "~/x", "scene.gltf",
+    "/dev/zero", "/dev/stdin",
 ]  # fmt: skip
 LINKS: Files = {"link.bin": Link("../outside.bin"), "links": Link("..")}
 
@@ -39,9 +40,12 @@ def gltf(files: Files, rng: random.Random) -> Files:
             document = json.loads(data)
             for buffer in document["buffers"]:
                 buffer["uri"] = rng.choice(URIS)
-            return {name: json.dumps(document).encode()} | files | LINKS | {
-                name: json.dumps(document).encode()
-            }
+            return (
+                {name: json.dumps(document).encode()}
+                | files
+                | LINKS
+                | {name: json.dumps(document).encode()}
+            )
 
 
 def glb(data: bytes, rng: random.Random) -> bytes:

@@ -21,9 +21,10 @@ from prtnet.errors import PrtnetError
 __all__ = ["BreachError", "bounded", "outcome"]
 
 FORBIDDEN = (
-    "socket.connect", "socket.getaddrinfo", "socket.gethostbyname", "socket.sendto", "urllib.Request",
-    "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.fork", "pickle.find_class",
-    "os.remove", "os.rename", "os.mkdir", "os.truncate", "os.symlink", "shutil.copyfile",
+    "socket.connect", "socket.getaddrinfo", "socket.gethostbyname", "socket.sendto",
+    "urllib.Request", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.fork",
+    "pickle.find_class", "os.remove", "os.rename", "os.mkdir", "os.truncate", "os.symlink",
+    "shutil.copyfile",
 )  # fmt: skip
 MODULES = (".py", ".pyc", ".so")  # that are imported late
 WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
@@ -49,7 +50,7 @@ class Watch:
             self.breaches.append(f"{event} {arguments!r:.200}")
         elif event == "open" and isinstance(arguments[0], (str, bytes)):
             name, flags = os.fsdecode(arguments[0]), arguments[2]
-            if "\0" in name or name.endswith(MODULES):
+            if "\0" in name or name == os.devnull or name.endswith(MODULES):
                 return
             inside = os.path.realpath(name).startswith((self.folder, sys.prefix, sys.base_prefix))
             if not inside or flags & WRITES:

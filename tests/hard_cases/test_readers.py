@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-import random
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from bench.fuzz_gltf import mutated, outcome, small_scene
 from data_gen.gltf_writer import write_glb
 from data_gen.readers import read_scene
 from tests.gltf_builder import Builder, pack, unpack
 from tests.hard_cases.measured import refuses, says
+from tests.small_scene import small_scene
 
 Edit = Callable[[dict[str, Any]], object]
 
@@ -253,14 +250,3 @@ def test_a_deep_hierarchy_is_no_recursion(tmp_path: Path) -> None:
     b.json["nodes"].append({"mesh": 0})
     scene = read_scene(b.glb(tmp_path / "x.glb"))
     assert scene.rest().positions[0, 0, 0] == 3000.0
-
-
-@settings(
-    max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
-@given(rng=st.randoms(use_true_random=False), flat=st.booleans())
-def test_mutated_files(tmp_path: Path, rng: random.Random, flat: bool) -> None:
-    path = tmp_path / "x.glb"
-    write_glb(small_scene(flat), path)
-    path.write_bytes(mutated(path.read_bytes(), rng))
-    assert outcome(path)

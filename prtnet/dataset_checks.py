@@ -1,0 +1,129 @@
+"""Whether a folder is a dataset as ``prtnet generate`` writes them; of any other nothing is read.
+
+Checksums tell what has been damaged. What is here holds also where somebody made them fit.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+
+from prtnet.errors import PrtnetError
+from prtnet.limits import check_order
+
+__all__ = ["check_attributes", "check_fit", "check_folder", "check_stored"]
+
+CODECS = {"BytesCodec", "BloscCodec", "Crc32cCodec"}
+# LZ4 makes a run of 255 bytes at most out of each byte: no chunk that we write unpacks to more.
+LARGEST_RATIO, SMALL = 256, 1 << 16
+TEXTS = ("clip_names", "held_out", "joint_names")
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a dataset with symbolic links to what lies outside it.
+
+    Raises:
+        PrtnetError: it has one.
+    """
+    root = path.resolve()
+    for entry in entries(path):
+        if entry.is_symlink() and not inside(Path(entry.path), root):
+            name = os.path.relpath(entry.path, path)
+            raise PrtnetError(path, f"{name} is a link to something outside; copy the file there")
+
+
+def inside(link: Path, root: Path) -> bool:
+    """Whether a link ends within a folder."""
+    try:
+        return link.resolve().is_relative_to(root)
+    except (OSError, RuntimeError):  # links in a circle
+        return False
+
+
+def entries(path: str | Path) -> Iterator[os.DirEntry[str]]:
+    """All files, folders and links in a folder and its folders; links are not followed."""
+    with os.scandir(path) as found:
+        for entry in found:
+            yield entry
+            if entry.is_dir(follow_symlinks=False):
+                yield from entries(entry.path)
+
+
+def check_stored(path: Path, array: zarr.Array[Any]) -> None:
+    """Raise ValueError where an array claims to unpack to more than its files can hold.
+
+    Args:
+        path: of the dataset.
+        array: of it, of which nothing has been read yet.
+    """
+    name = array.basename
+    codecs = {type(one).__name__ for one in getattr(array.metadata, "codecs", ())}
+    if not codecs <= CODECS:
+        raise ValueError(f"{name} is packed by {', '.join(sorted(codecs - CODECS))}")
+    stored = sum(e.stat().st_size for e in entries(path / name) if e.is_file())
+    claimed = math.prod(array.chunks) * array.nchunks * array.dtype.itemsize
+    if claimed > LARGEST_RATIO * stored + SMALL:
+        raise ValueError(f"{name} claims {claimed} bytes, in files of {stored}")
+
+
+def check_attributes(found: Mapping[str, Any]) -> None:
+    """Raise ValueError or TypeError where attributes are not what they are called."""
+    check_order(int(found["order"]))
+    for name in TEXTS:
+        texts = found[name]
+        if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
+            raise ValueError(f"{name} is no list of names")
+        "".join(texts).encode()  # lone surrogates cannot be printed
+    if not set(found["held_out"]) <= set(found["clip_names"]):
+        raise ValueError("held_out names clips that are not there")
+    if found["scene_kind"] not in ("skinned", "point_cache"):
+        raise ValueError(f"no kind of scene is called {found['scene_kind']}")
+
+
+def check_fit(arrays: Mapping[str, Any], attributes: Mapping[str, Any]) -> None:
+    """Raise ValueError where arrays do not fit each other.
+
+    Args:
+        arrays: those that no pose changes, and of those by pose what has their shape and type.
+        attributes: of the dataset.
+    """
+    poses, receivers = arrays["visibility"].shape[:2]
+    size, clips = len(arrays["rest_pose"]), len(attributes["clip_names"])
+    triples = (receivers, 3)
+    shapes: dict[str, tuple[tuple[int, ...], str]] = {
+        "visibility": ((poses, receivers, int(attributes["order"]) ** 2), "f"),
+        "pose": ((poses, size), "f"),
+        **dict.fromkeys(("positions", "normals", "tangents"), ((poses, *triples), "f")),
+        **{f"rest_{name}": (triples, "f") for name in ("positions", "normals", "tangents")},
+        "clip": ((poses,), "i"),
+        "time": ((poses,), "f"),
+        "sources": ((poses, clips), "b"),
+        "rest_pose": ((size,), "f"),
+        "receiver_side": ((receivers,), "i"),
+        "faces": ((len(arrays["faces"]), 3), "i"),
+        "receiver_of_vertex": ((len(arrays["receiver_of_vertex"]),), "i"),
+    }
+    limits = {
+        "faces": (0, len(arrays["receiver_of_vertex"])),
+        "receiver_of_vertex": (0, receivers),
+        "receiver_side": (-1, 2),
+    }
+    if arrays.get("joint_parents") is not None:
+        joints = len(arrays["joint_parents"])
+        shapes |= {"joint_weights": ((receivers, joints), "f"), "joint_parents": ((joints,), "i")}
+        limits["joint_parents"] = (-1, joints)
+    for name, (shape, kind) in shapes.items():
+        if arrays[name].shape != shape or arrays[name].dtype.kind != kind:
+            raise ValueError(f"{name} is {arrays[name].dtype} {arrays[name].shape}, not {shape}")
+    for name, (least, end) in limits.items():
+        if not (
+            np.min(arrays[name], initial=least) >= least
+            and np.max(arrays[name], initial=least) < end
+        ):
+            raise ValueError(f"{name} points outside its table")
