@@ -18,7 +18,7 @@ from typing import Any
 
 from prtnet.errors import PrtnetError
 
-__all__ = ["BreachError", "bounded", "outcome"]
+__all__ = ["WATCH", "BreachError", "bounded", "outcome"]
 
 FORBIDDEN = (
     "socket.connect", "socket.getaddrinfo", "socket.gethostbyname", "socket.sendto",
@@ -40,6 +40,7 @@ class Watch:
 
     def __init__(self) -> None:
         self.folder: str | None = None
+        self.opened: list[str] = []
         self.breaches: list[str] = []
 
     def __call__(self, event: str, arguments: tuple[Any, ...]) -> None:
@@ -52,6 +53,7 @@ class Watch:
             name, flags = os.fsdecode(arguments[0]), arguments[2]
             if "\0" in name or name == os.devnull or name.endswith(MODULES):
                 return
+            self.opened.append(name)
             inside = os.path.realpath(name).startswith((self.folder, sys.prefix, sys.base_prefix))
             if not inside or flags & WRITES:
                 self.breaches.append(f"open {name[:200]}")
@@ -69,6 +71,7 @@ def watched(folder: Path) -> Iterator[None]:
         BreachError: something else was done.
     """
     WATCH.breaches.clear()
+    WATCH.opened.clear()
     WATCH.folder = os.path.realpath(folder)
     try:
         yield

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import json
 import os
 import socket
 import traceback
@@ -11,9 +12,12 @@ from pathlib import Path
 import pytest
 
 from prtnet.errors import PrtnetError
-from tests.fuzzing.files import Holed, Link, Place, target
+from tests.fuzzing import array_files
+from tests.fuzzing.array_files import bytes_of
+from tests.fuzzing.files import Files, Holed, Link, Place, target
 from tests.fuzzing.readers import READERS
-from tests.fuzzing.watch import BreachError, bounded, outcome
+from tests.fuzzing.scenes import LINKS, URIS
+from tests.fuzzing.watch import WATCH, BreachError, bounded, outcome
 
 CASES = 300
 ROOM = 1 << 30  # bytes that a reader may take for files of a few kilobytes
@@ -105,3 +109,119 @@ def test_a_place_holds_one_case_after_another(place: Place) -> None:
     assert sorted(os.listdir(place.folder)) == ["a", "d"]
     with open(place.folder / "d", "rb") as file:
         assert file.read(7) == b"\0\0\0\0\0x\0"
+
+
+@pytest.mark.parametrize("uri", URIS)
+def test_buffers_lie_in_the_folder(place: Place, uri: str) -> None:
+    (files,) = READERS["gltf"].sound
+    document = json.loads(bytes_of(files["scene.gltf"]))
+    document["buffers"][0]["uri"] = uri
+    case = files | LINKS | {"scene.gltf": json.dumps(document).encode()}
+    same = uri in ("in.bin", "./in.bin")  # all else lies outside or is no buffer
+    assert outcome(READERS["gltf"].use, place.hold(case)) == ("read" if same else "refused")
+
+
+def test_a_link_to_a_buffer_in_the_folder_is_followed(place: Place) -> None:
+    (files,) = READERS["gltf"].sound
+    case = files | {"in.bin": Link("far/real.bin"), "far/real.bin": files["in.bin"]}
+    assert outcome(READERS["gltf"].use, place.hold(case)) == "read"
+
+
+def test_links_out_of_a_dataset_are_not_followed(place: Place) -> None:
+    reader = READERS["dataset"]
+    files = reader.sound[0]
+    name = next(name for name in files if name.endswith("visibility/c/0/0/0"))
+    elsewhere = place.folder.parent / "chunk"
+    elsewhere.write_bytes(bytes_of(files[name]))
+    with pytest.raises(PrtnetError, match="is a link to something outside"):
+        reader.use(place.hold(files | {name: Link(str(elsewhere))}))
+    inside = "old.zarr/chunk"
+    case = files | {inside: files[name], name: Link("../../../../chunk")}
+    assert outcome(reader.use, place.hold(case)) == "read"
+
+
+def test_a_group_whose_header_holds_others_of_its_arrays(place: Place) -> None:
+    reader = READERS["dataset"]
+    files = reader.sound[0]
+    document = json.loads(bytes_of(files["old.zarr/zarr.json"]))
+    other = json.loads(bytes_of(files["old.zarr/faces/zarr.json"])) | {"shape": [10**12, 3]}
+    document["consolidated_metadata"] = {
+        "kind": "inline", "must_understand": False, "metadata": {"faces": other},
+    }  # fmt: skip
+    case = files | {"old.zarr/zarr.json": json.dumps(document).encode()}
+    assert outcome(reader.use, place.hold(case)) == "read"
+
+
+def change(text: bytes, **values: object) -> bytes:
+    return json.dumps(json.loads(text) | values).encode()
+
+
+@pytest.mark.parametrize(
+    ("array", "values", "told"),
+    [
+        ("faces", {"shape": [10**12, 3]}, "claims"),
+        ("visibility", {"shape": [10**12, 6, 4]}, "claims"),
+        ("time", {"shape": [9]}, "not whole"),
+        ("pose", {"data_type": "int32"}, "int32"),
+        ("faces", {"codecs": [{"name": "bytes", "configuration": {"endian": "little"}},
+                              {"name": "zstd", "configuration": {}}]}, "ZstdCodec"),
+    ],
+)  # fmt: skip
+def test_arrays_of_a_dataset_that_do_not_fit(
+    place: Place, array: str, values: dict[str, object], told: str
+) -> None:
+    files = READERS["dataset"].sound[0]  # without checksums of headers
+    name = f"old.zarr/{array}/zarr.json"
+    path = place.hold(signed(files | {name: change(bytes_of(files[name]), **values)}))
+    with bounded(ROOM), pytest.raises(PrtnetError, match=told):
+        READERS["dataset"].use(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("order", 10**12, "order"),
+        ("held_out", ["no such clip"], "held_out names"),
+        ("clip_names", [1, 2, 3], "no list of names"),
+        ("joint_names", ["\ud800", "b"], "surrogates"),
+        ("scene_kind", "liquid", "no kind of scene"),
+    ],
+)
+def test_attributes_of_a_dataset_that_are_none(
+    place: Place, name: str, value: object, told: str
+) -> None:
+    files = READERS["dataset"].sound[0]
+    document = json.loads(bytes_of(files["old.zarr/zarr.json"]))
+    document["attributes"][name] = value
+    case = files | {"old.zarr/zarr.json": json.dumps(document).encode()}
+    with pytest.raises(PrtnetError, match=told):
+        READERS["dataset"].use(place.hold(signed(case)))
+
+
+def signed(files: Files) -> Files:
+    """The files of a dataset without checksums of its headers."""
+    return files | {"old.zarr/zarr.json": array_files.signed(files, "old.zarr/zarr.json", old=True)}
+
+
+def test_pictures_are_not_given_to_other_programs(place: Place) -> None:
+    (eps,) = (files for files in READERS["picture"].sound if "EPS.png" in files)
+    with pytest.raises(PrtnetError, match="it is no picture"):  # rather than: no Ghostscript
+        READERS["picture"].use(place.hold(eps))
+
+
+def test_materials_of_a_mesh_are_not_looked_for(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (files,) = (files for files in READERS["mesh"].sound if "material.obj" in files)
+    opened: list[str] = []
+    monkeypatch.setattr(WATCH, "opened", opened)
+    assert outcome(READERS["mesh"].use, place.hold(files)) == "read"
+    assert [Path(name).name for name in opened if "case" in name] == ["material.obj"]
+
+
+@pytest.mark.parametrize("name", ["glb", "hdr light", "model"])
+def test_a_terabyte_is_not_read(place: Place, name: str) -> None:
+    ((file, data),) = READERS[name].sound[0].items()
+    path = place.hold({file: Holed(10**12, {0: bytes_of(data)})})
+    with bounded(ROOM):
+        assert outcome(READERS[name].use, path) == "refused"
