@@ -11,6 +11,7 @@ from PIL import Image, UnidentifiedImageError
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 from prtnet.exr import read_exr
+from prtnet.hushed import hushed
 from prtnet.luminance import REC709
 
 __all__ = ["PICTURES", "read_grey"]
@@ -54,7 +55,7 @@ def read_grey(path: str | Path, texels: tuple[int, int] | None = None) -> FloatA
 def decoded(path: Path) -> FloatArray:
     """Grey values (H, W) of a picture that Pillow reads, top row first."""
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), hushed():  # libtiff prints lines of its own
             warnings.simplefilter("error")
             with Image.open(path, formats=FORMATS) as picture:
                 if picture.width * picture.height > LARGEST:
@@ -62,11 +63,12 @@ def decoded(path: Path) -> FloatArray:
                 return grey_of(picture)
     except PrtnetError:
         raise
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Warning) as error:
-        reason = "it is no picture" if isinstance(error, UnidentifiedImageError) else str(error)
-        raise PrtnetError(path, f"cannot be read ({reason}); give a greyscale picture") from error
-    except Image.DecompressionBombError as error:
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise PrtnetError(path, "has too many pixels; resample it first") from error
+    except Exception as error:  # a damaged file can break its parsers in any way
+        known = "it is no picture" if isinstance(error, UnidentifiedImageError) else str(error)
+        reason = known[:120] or type(error).__name__
+        raise PrtnetError(path, f"cannot be read ({reason}); give a greyscale picture") from error
 
 
 def grey_of(picture: Image.Image) -> FloatArray:

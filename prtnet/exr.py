@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +10,7 @@ import numpy as np
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 from prtnet.hdr import PIXEL_LIMIT
+from prtnet.hushed import hushed
 
 __all__ = ["read_exr"]
 
@@ -80,19 +77,3 @@ def opened(path: str | Path, header_only: bool) -> Any:
             return OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts[0]
     except (RuntimeError, ValueError, TypeError, IndexError, MemoryError) as error:
         raise PrtnetError(path, DAMAGED) from error
-
-
-@contextlib.contextmanager
-def hushed() -> Iterator[None]:
-    """What a library writes of itself to the process's output and error streams is lost."""
-    kept = {stream: os.dup(stream) for stream in (1, 2)}
-    try:
-        with open(os.devnull, "wb") as nothing:
-            for stream in kept:
-                os.dup2(nothing.fileno(), stream)
-        with contextlib.redirect_stdout(io.StringIO()):
-            yield
-    finally:
-        for stream, own in kept.items():
-            os.dup2(own, stream)
-            os.close(own)

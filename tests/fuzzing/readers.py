@@ -253,8 +253,8 @@ def datasets(folder: Path) -> list[Files]:
 
 
 def use_dataset(path: Path) -> None:
-    use_facts(path)
     data = Dataset.open(path)
+    json.dumps(data.attributes).encode()
     for name in POSE_ARRAYS:
         data.read(name, slice(0, 4))
     data.training_poses()
