@@ -222,13 +222,22 @@ class Dataset:
     def __init__(self, path: Path, group: zarr.Group) -> None:
         self.path = path
         self.attributes: dict[str, Any] = dict(group.attrs)
-        self._group = group
         self.joint_weights = self.joint_parents = None
         for name in ATTRIBUTES:
             setattr(self, name, self.attributes[name])
         check_attributes(self.attributes)
-        for name in FIXED_ARRAYS + (SKIN_ARRAYS if self.scene_kind == "skinned" else ()):
+        fixed = FIXED_ARRAYS + (SKIN_ARRAYS if self.scene_kind == "skinned" else ())
+        self._arrays = {name: array_of(group, name) for name in POSE_ARRAYS + fixed}
+        for array in self._arrays.values():
+            check_stored(path, array)
+        for name in fixed:
             setattr(self, name, self.read(name))
+        for name in POSE_ARRAYS:
+            array = self._arrays[name]
+            short = array.shape[0] != self._arrays["visibility"].shape[0]
+            if short or array.nchunks_initialized != array.nchunks:
+                raise PrtnetError(path, f"array '{name}' is not whole; {MEND}")
+        check_fit({**self._arrays, **vars(self)}, self.attributes)
 
     @classmethod
     def open(cls, path: str | Path) -> Dataset:
@@ -242,25 +251,15 @@ class Dataset:
             raise PrtnetError(path, "does not exist; make it with prtnet generate")
         group = opened(path)
         try:
-            arrays = {name: array_of(group, name) for name in POSE_ARRAYS}
-            fixed = FIXED_ARRAYS + (SKIN_ARRAYS if group.attrs["scene_kind"] == "skinned" else ())
-            for array in (*arrays.values(), *(array_of(group, name) for name in fixed)):
-                check_stored(path, array)
-            dataset = cls(path, group)
-            for name, array in arrays.items():
-                short = array.shape[0] != arrays["visibility"].shape[0]
-                if short or array.nchunks_initialized != array.nchunks:
-                    raise PrtnetError(path, f"array '{name}' is not whole; {MEND}")
-            check_fit(arrays | {name: getattr(dataset, name) for name in fixed}, group.attrs)
+            return cls(path, group)
         except KeyError as error:
             raise PrtnetError(path, f"has no {error}; generate it again") from error
         except UNREADABLE as error:
             raise PrtnetError(path, f"does not fit together ({error}); {MEND}") from error
-        return dataset
 
     def rows(self, name: str) -> Rows:
         """One of the arrays whose leading axis is the pose."""
-        return Rows(array_of(self._group, name), self.path)
+        return Rows(self._arrays[name], self.path)
 
     def read(self, name: str, index: int | slice | IntArray | None = None) -> Any:
         """The poses ``index`` of an array, or all of it."""
