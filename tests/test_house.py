@@ -199,6 +199,17 @@ def test_formats_name_everything_in_a_dataset_and_a_model() -> None:
     assert {*arrays, *dataset.ATTRIBUTES, "format_version"} - named == set()
 
 
+@pytest.mark.parametrize(
+    "path", sorted((REPOSITORY / "tests" / "hard_cases").glob("test_*.py")), ids=name_of
+)
+def test_page_of_hard_cases_names_every_one(path: Path) -> None:
+    """Otherwise it is older than the tests: run ``make hard``."""
+    page = (REPOSITORY / "docs" / "hard-cases.md").read_text(encoding="utf-8")
+    names = [node.name.removeprefix("test_").replace("_", " ") for node in ast.walk(parse(path))
+             if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")]  # fmt: skip
+    assert [name for name in names if f"\n| {name} |" not in page] == []
+
+
 def test_repository_holds_no_large_or_foreign_files() -> None:
     """Sample scenes and their licences stay out of the repository."""
     foreign = {".glb", ".gltf", ".hdr", ".exr", ".ply", ".npz", ".safetensors", ".onnx", ".pkl"}

@@ -27,6 +27,7 @@ from prtnet.tangents import any_tangent
 from prtnet.transfer import Surface
 from prtnet.turning_light import SPREAD, TurningLight
 from tests.data_gen.test_cube_visibility import surface_of
+from tests.hard_cases.measured import above, at_most, below, close, equal, finite
 
 MATTE = row_factors(Lambert(1.0))
 
@@ -48,14 +49,14 @@ def made(positions: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> Surfa
 def test_a_vertex_that_sees_nothing_and_one_that_sees_everything() -> None:
     box = shapes.box([4, 4, 4])
     inside = surface_of(shapes.icosphere(0, radius=0.1))
-    assert not matte(inside, [surface_of(box), inside]).any()
+    equal(matte(inside, [surface_of(box), inside]), 0)
     alone = matte(inside, [inside])
-    np.testing.assert_allclose(alone.sum(axis=(1, 2)), math.pi, rtol=2e-3)
+    close(alone.sum(axis=(1, 2)), math.pi, rtol=2e-3)
     # Below the horizon there is nothing, in whole segments too.
     towards = segments_of(directions(8)).reshape(24, -1, 3) @ inside.normals.astype(float).T
     dark = (towards < -0.3).all(axis=1).T
-    assert dark.sum() > 12
-    assert not alone[dark].any()
+    above(dark.sum(), 12)
+    equal(alone[dark], 0)
     assert alone[(towards > 0.3).all(axis=1).T].all()
 
 
@@ -65,17 +66,17 @@ def test_a_light_in_exactly_one_texel() -> None:
     texels[4, 2, 5] = 3.0
     waves = segment_coefficients(texels)
     segment = 4 * 4 + 1
-    assert not np.delete(waves, segment, axis=0).any()
+    equal(np.delete(waves, segment, axis=0), 0)
     assert np.count_nonzero(waves[segment]) == 1 + 3 * 2  # of four by four: two levels
-    assert np.linalg.norm(waves) == pytest.approx(3.0)
+    close(np.linalg.norm(waves), 3.0, 1e-6)
     surface = surface_of(shapes.icosphere(1))
     fine = directions(32)
     light = interpolated(texels[..., 0], fine.reshape(-1, 3)).reshape(6, 32, 32)
     cosine = np.maximum(fine @ surface.normals.astype(float).T, 0.0)
     expected = np.einsum("yx,fyx,fyxp->p", solid_angles(32), light, cosine)
     found = matte(surface, [surface]) * segments_of(texels[..., 0]).reshape(24, 16)
-    assert not found[:, np.arange(24) != segment].any()
-    np.testing.assert_allclose(found.sum(axis=(1, 2)), expected, atol=5e-3 * expected.max())
+    equal(found[:, np.arange(24) != segment], 0)
+    close(found.sum(axis=(1, 2)), expected, atol=5e-3 * expected.max())
 
 
 def largest_step(row: int, middle: float) -> float:
@@ -107,7 +108,9 @@ def test_a_light_crosses_without_a_jump(
     """
     gap = math.radians(sides[1] - sides[0])
     fastest = 1.0 / (math.sqrt(2.0 * math.pi) * SPREAD * 2.0 / 32)
-    assert 0.0 < largest_step(row, middle) < 1.5 * gap * fastest * math.radians(0.25)
+    step = largest_step(row, middle)
+    above(step, 0.0)
+    below(step, 1.5 * gap * fastest * math.radians(0.25))
 
 
 def test_a_corner_of_the_cube_has_three_faces() -> None:
@@ -117,17 +120,18 @@ def test_a_corner_of_the_cube_has_three_faces() -> None:
     texels = np.arange(6 * 4 * 4, dtype=float).reshape(6, 4, 4)
     found = interpolated(texels, beside)
     assert len(set(found)) == 3
-    np.testing.assert_array_equal(faces_of(segments_of(texels)), texels)
+    equal(faces_of(segments_of(texels)), texels)
 
 
 def test_roughness_of_a_twentieth_is_told_by_its_error() -> None:
     smooth, rough = (row_factors(CookTorrance(roughness=r, fresnel=0.5), 10) for r in (0.05, 0.4))
-    assert 0.5 < smooth.error < 1.0
-    assert smooth.clamped > 0.8
-    assert rough.error < 0.13
-    assert rough.clamped < 0.07
-    assert np.isfinite(smooth.light).all()
-    assert np.isfinite(smooth.view).all()
+    above(smooth.error, 0.5)
+    below(smooth.error, 1.0)
+    above(smooth.clamped, 0.8)
+    below(rough.error, 0.13)
+    below(rough.clamped, 0.07)
+    finite(smooth.light)
+    finite(smooth.view)
 
 
 def test_edges_of_many_triangles_flat_triangles_and_stray_vertices() -> None:
@@ -137,12 +141,12 @@ def test_edges_of_many_triangles_flat_triangles_and_stray_vertices() -> None:
     faces = [[0, 1, 2], [1, 0, 3], [0, 1, 4], [0, 1, 6], [4, 4, 4]]
     surface = made(np.array(positions), np.array(normals), np.array(faces))
     found = matte(surface, [surface]).sum(axis=(1, 2)) / math.pi
-    assert np.isfinite(found).all()
-    assert (found > 0.8).all()  # the sheet that stands on an edge hides nothing from its ends
-    assert (found <= 1.0 + 2e-3).all()
-    assert found[5] == pytest.approx(1.0, abs=2e-3)  # the stray one: open
+    finite(found)
+    above(found, 0.8)  # the sheet that stands on an edge hides nothing from its ends
+    at_most(found, 1.0 + 2e-3)
+    close(found[5], 1.0, 0.0, 2e-3)  # the stray one: open
     assert len(ground(surface, 4)) == 16
-    np.testing.assert_array_equal(ground(surface, 4).positions[:, 1], 0.0)
+    equal(ground(surface, 4).positions[:, 1], 0.0)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e5])
@@ -153,5 +157,5 @@ def test_scale_and_place_do_not_matter(scale: float, shift: float) -> None:
     there = surface_of(both, scale, shift * scale)
     found, expected = matte(there, [there]), matte(here, [here])
     missed = np.linalg.norm(found - expected) / np.linalg.norm(expected)
-    assert missed < (1e-3 if shift == 0.0 else 0.03)
-    assert found.max() < 1.1 * expected.max()
+    below(missed, 1e-3 if shift == 0.0 else 0.03)
+    below(found.max(), 1.1 * expected.max())

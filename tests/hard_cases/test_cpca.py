@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from prtnet.all_frequency import check_segment
 from prtnet.haar import unhaar
 from tests.all_frequency import dense_segment
+from tests.hard_cases.measured import at_most, below, close, equal, finite
 from tests.training.test_all_frequency import compressed, raw_segment
 from tests.training.test_cpca import rebuilt
 from training.all_frequency import CompressConfig
@@ -27,13 +28,13 @@ def all_clusters(points: np.ndarray, config: CpcaConfig) -> float:
     some = points.any(axis=1)
     count = min(config.clusters, int(some.sum()))
     assert set(found.label[some]) == set(range(count))
-    assert (found.label[~some] == -1).all()
+    equal(found.label[~some], -1)
     assert found.axes.shape[0] == count
     for array in (found.axes, found.values, found.weights):
-        assert np.isfinite(array).all()
+        finite(array)
     missed = np.square(rebuilt(found) - points).sum()
     energy = np.square(points.astype(np.float64)).sum()
-    assert found.error * energy == pytest.approx(missed, rel=1e-3, abs=1e-6 * energy)
+    close(found.error * energy, missed, 1e-3, 1e-6 * energy)
     return found.error
 
 
@@ -55,43 +56,43 @@ def test_any_numbers_of_anything(
 
 def test_fewer_points_than_clusters() -> None:
     """Each is its own cluster, exactly."""
-    assert all_clusters(points_of(5, 40, 5, 0), CpcaConfig(30, 16)) < 1e-9
-    assert all_clusters(points_of(5, 40, 5, 0), CpcaConfig(30, 1)) < 1e-9
+    below(all_clusters(points_of(5, 40, 5, 0), CpcaConfig(30, 16)), 1e-9)
+    below(all_clusters(points_of(5, 40, 5, 0), CpcaConfig(30, 1)), 1e-9)
 
 
 @pytest.mark.parametrize("affine", [False, True])
 def test_identical_points(affine: bool) -> None:
     points = np.tile(points_of(1, 300, 1, 1), (500, 1))
-    assert all_clusters(points, CpcaConfig(7, 4, affine)) < 1e-9
+    below(all_clusters(points, CpcaConfig(7, 4, affine)), 1e-9)
     # Nearly all of them identical.
     points[:3] = points_of(3, 300, 3, 2)
-    assert all_clusters(points, CpcaConfig(7, 4, affine)) < 1e-9
+    below(all_clusters(points, CpcaConfig(7, 4, affine)), 1e-9)
 
 
 def test_points_that_are_multiples_of_each_other() -> None:
     points = np.outer(np.linspace(-1.0, 1.0, 101), points_of(1, 300, 1, 3)).astype(np.float32)
-    assert all_clusters(points, CpcaConfig(3, 5)) < 1e-9  # one of them is zero
+    below(all_clusters(points, CpcaConfig(3, 5)), 1e-9)  # one of them is zero
 
 
 def test_more_terms_than_the_rank() -> None:
     points = points_of(400, 300, 3, 4)
     found = clustered_components(points, CpcaConfig(2, 16))
-    assert found.error < 1e-9
-    assert (np.linalg.norm(found.axes, axis=2) > 0.5).sum(axis=1).max() <= 3
-    assert all_clusters(points, CpcaConfig(2, 400)) < 1e-9
+    below(found.error, 1e-9)
+    at_most((np.linalg.norm(found.axes, axis=2) > 0.5).sum(axis=1).max(), 3)
+    below(all_clusters(points, CpcaConfig(2, 400)), 1e-9)
 
 
 def test_nothing_but_zeros() -> None:
     found = clustered_components(np.zeros((9, 4), dtype=np.float32), CpcaConfig(3))
     assert found.error == 0.0
-    assert (found.label == -1).all()
+    equal(found.label, -1)
     assert len(found.axes) == 0
 
 
 def test_one_giant_among_dwarfs() -> None:
     points = 1e-6 * points_of(300, 50, 20, 5)
     points[7] *= 1e9
-    assert all_clusters(points, CpcaConfig(4, 2)) < 1e-6
+    below(all_clusters(points, CpcaConfig(4, 2)), 1e-6)
 
 
 @pytest.mark.parametrize("size", [1e-18, 1e15])
@@ -100,7 +101,7 @@ def test_units_do_not_matter(size: float) -> None:
     one, other = (
         clustered_components(times * points, CpcaConfig(4, 3)) for times in (1.0, np.float32(size))
     )
-    assert other.error == pytest.approx(one.error, rel=0.05)
+    close(other.error, one.error, 0.05)
 
 
 def test_16_bits_hold_a_giant_and_its_dwarfs() -> None:
@@ -113,11 +114,11 @@ def test_16_bits_hold_a_giant_and_its_dwarfs() -> None:
     assert np.abs(values.astype(int)).max() == 32767  # every representative uses all its bits
     assert np.abs(segment.weights.astype(int)).max() == 32767
     back = unhaar(dense_segment(segment, len(raw)).reshape(len(raw), 2, 4, 4)).reshape(raw.shape)
-    assert np.abs(back[shines] - raw[shines]).max() < 1e-4 * raw[shines].max()
-    assert lost.errors()["stored"] < 1e-8
+    below(np.abs(back[shines] - raw[shines]).max(), 1e-4 * raw[shines].max())
+    below(lost.errors()["stored"], 1e-8)
     others = np.delete(np.arange(len(raw)), shines)
     missed = np.square(back[others] - raw[others]).sum() / np.square(raw[others]).sum()
-    assert missed < 0.05
+    below(missed, 0.05)
 
 
 @pytest.mark.parametrize("size", [1e-12, 1e12])
@@ -127,7 +128,7 @@ def test_16_bits_of_any_unit(size: float) -> None:
         compressed(times * raw, CompressConfig(6, 30))[1].errors()
         for times in (np.float32(1.0), np.float32(size))
     )
-    assert other["stored"] == pytest.approx(one["stored"], rel=0.05)
+    close(other["stored"], one["stored"], 0.05)
 
 
 def test_a_vertex_that_sees_nothing_and_one_that_sees_all() -> None:
@@ -136,7 +137,7 @@ def test_a_vertex_that_sees_nothing_and_one_that_sees_all() -> None:
     segment, _ = compressed(raw, CompressConfig(6, 30, 0.002))
     back = unhaar(dense_segment(segment, len(raw)).reshape(len(raw), 2, 4, 4)).reshape(raw.shape)
     assert 0 not in segment.vertices
-    assert np.abs(back[1] - 1.0).max() < 0.2
+    below(np.abs(back[1] - 1.0).max(), 0.2)
 
 
 @pytest.mark.parametrize("reached", [0, 1, 3])
@@ -147,4 +148,4 @@ def test_a_segment_that_reaches_next_to_nobody(reached: int) -> None:
     segment, lost = compressed(raw, CompressConfig(16, 200, 0.0))
     check_segment(segment, len(raw), 32)
     assert segment.clusters == min(reached, 1)
-    assert lost.errors()["stored"] < 1e-8
+    below(lost.errors()["stored"], 1e-8)

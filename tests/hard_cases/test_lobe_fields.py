@@ -18,7 +18,6 @@ from data_gen.transport import unit_irradiance
 from prtnet.brdf import GGX
 from prtnet.canvas import Canvas, plane, vase
 from prtnet.environment import environment
-from prtnet.errors import PrtnetError
 from prtnet.glossy import brdf_rows
 from prtnet.lobe_field import LobeField
 from prtnet.lobe_fit import lobe_field
@@ -31,6 +30,7 @@ from runtime.draw import RendererName
 from runtime.field_shot import FieldShot
 from runtime.gl import available
 from runtime.picture import auto_exposure, comparison, develop
+from tests.hard_cases.measured import above, at_least, below, close, equal, finite, refuses
 
 ORDER = 4
 CONFIG = BakeConfig(order=ORDER, rays=128)
@@ -59,8 +59,8 @@ def picture(
     camera = Camera.framing(canvas.positions, 1.0, *angles)
     light = light[: field.order**2]
     seen = FieldShot(canvas, light, camera, (40, 40)).draw(field, renderer, by_table, samples=1)
-    assert np.isfinite(seen).all()
-    assert (seen[..., 3] > 0).mean() > 0.1
+    finite(seen)
+    above((seen[..., 3] > 0).mean(), 0.1)
     return seen
 
 
@@ -112,7 +112,7 @@ def test_a_flat_patch_is_one_colour(shape, height, repeat, count, tmp_path):
     for renderer in RENDERERS:
         for by_table, loose in ((False, HALF), (True, 0.02)):  # of 64 × 32 entries
             seen = colours(picture(field, plane(repeat), renderer, by_table, AHEAD))
-            np.testing.assert_allclose(seen, np.broadcast_to(exact, seen.shape), rtol=loose)
+            close(seen, np.broadcast_to(exact, seen.shape), rtol=loose)
 
 
 @pytest.mark.parametrize(
@@ -123,14 +123,14 @@ def test_a_pit_without_a_floor_is_a_dark_texel(deep, coherent, tmp_path):
     heights[4, 4] = deep
     field = kept(lobe_field(bake_patch(heights, (1.0, 1.0), TILED, CONFIG), 3, coherent), tmp_path)
     assert isinstance(field.layout, Patch)
-    assert field.layout.heights.min() >= -17.0
+    at_least(field.layout.heights.min(), -17.0)
     exact = 0.8 * unit_irradiance(ORDER) @ LIGHT
     for renderer in RENDERERS:
         seen = picture(field, plane(1), renderer, angles=AHEAD)[..., 1] / exact[1]
-        assert seen[19:21, 19:21].max() < 0.4  # between the pit's middle and its rim
+        below(seen[19:21, 19:21].max(), 0.4)  # between the pit's middle and its rim
         border = np.concatenate([seen[8, 8:32], seen[31, 8:32], seen[8:32, 8], seen[8:32, 31]])
-        np.testing.assert_allclose(border, 1.0, rtol=0.03)
-        assert seen.min() > -0.1
+        close(border, 1.0, rtol=0.03)
+        above(seen.min(), -0.1)
 
 
 def test_what_sends_nothing_is_black(tmp_path):
@@ -147,9 +147,9 @@ def test_what_sends_nothing_is_black(tmp_path):
             assert field.metadata["fit"]["p99"] == 0.0
             for renderer in RENDERERS:
                 seen = picture(field, on, renderer)
-                np.testing.assert_array_equal(colours(seen), 0.0)
+                equal(colours(seen), 0.0)
         assert auto_exposure(seen) == 1.0
-        assert develop(seen, 1.0).max() < 255
+        below(develop(seen, 1.0).max(), 255)
         _, error = comparison(seen, picture(raw, on), ("lobes", "transfer"), 1.0)
         assert error["rms"] == 0.0
 
@@ -161,7 +161,7 @@ def test_a_mesh_of_any_size_looks_the_same(scale, tmp_path):
             picture(kept(field, tmp_path), canvas.twisted(0.5), renderer)
             for field, canvas in (ball(1.0, 0.0), ball(scale, 0.0))
         )
-        np.testing.assert_allclose(other, one, atol=HALF * one.max())
+        close(other, one, atol=HALF * one.max())
 
 
 @pytest.mark.parametrize("shiny", [False, True])
@@ -171,25 +171,23 @@ def test_a_mesh_far_from_the_origin_looks_the_same(offset, shiny, tmp_path):
         pictures = []
         for field, canvas in (ball(1.0, 0.0, shiny), ball(1.0, offset, shiny)):
             moved = canvas.moved(canvas.positions, canvas.normals)
-            np.testing.assert_allclose(moved.frames, canvas.frames, atol=1e-5)
+            close(moved.frames, canvas.frames, atol=1e-5)
             pictures.append(picture(kept(field, tmp_path), moved, renderer))
-        np.testing.assert_allclose(pictures[1], pictures[0], atol=HALF * pictures[0].max())
+        close(pictures[1], pictures[0], atol=HALF * pictures[0].max())
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_dim_and_bright_transfer_is_fitted_and_drawn_alike(scale, bumpy, tmp_path):
     scaled = dataclasses.replace(bumpy, transfer=(bumpy.transfer * np.float32(scale)))
     field, same = kept(lobe_field(scaled, 2), tmp_path), lobe_field(bumpy, 2)
-    assert field.metadata["fit"]["error"] == pytest.approx(same.metadata["fit"]["error"], rel=0.02)
+    close(field.metadata["fit"]["error"], same.metadata["fit"]["error"], 0.02)
     seen, want = picture(field, vase(3)), picture(same, vase(3))
-    np.testing.assert_allclose(
-        colours(seen) / scale, colours(want), atol=0.01 * colours(want).max()
-    )
+    close(colours(seen) / scale, colours(want), atol=0.01 * colours(want).max())
 
 
 def test_transfer_that_half_precision_cannot_hold_is_one_line(bumpy):
     glaring = dataclasses.replace(bumpy, transfer=bumpy.transfer * np.float32(1e6))
-    with pytest.raises(PrtnetError, match="too bright for lobes in half precision"):
+    with refuses(match="too bright for lobes in half precision"):
         lobe_field(glaring, 3)
 
 
@@ -202,9 +200,9 @@ def test_both_sides_of_a_sheet(renderer, bumpy):
     mirrored = LIGHT * np.where((band + m) % 2, -1.0, 1.0)[:, None]
     front = picture(field, plane(2), renderer, angles=AHEAD)
     back = picture(field, plane(2), renderer, angles=BEHIND, light=mirrored)
-    np.testing.assert_allclose(back[:, ::-1], front, atol=2e-3 * front.max())
+    close(back[:, ::-1], front, atol=2e-3 * front.max())
     dark = picture(field, plane(2), renderer, angles=BEHIND)
-    assert np.abs(dark[:, ::-1] - front).max() > 0.05 * front.max()
+    above(np.abs(dark[:, ::-1] - front).max(), 0.05 * front.max())
 
 
 @pytest.mark.parametrize(("order", "count"), [(1, 1), (1, 8), (2, 3), (2, 8), (3, 1), (6, 5)])
@@ -214,9 +212,7 @@ def test_few_bands_and_many_lobes(order, count, tmp_path):
     shots = [picture(field, vase(2), renderer, light=light) for renderer in RENDERERS]
     assert all(alike(one, shots[0]) for one in shots)
     if (count == 8 and order < 3) or order == 1:
-        np.testing.assert_allclose(
-            shots[0], picture(bumps(order), vase(2), light=light), atol=HALF * shots[0].max()
-        )
+        close(shots[0], picture(bumps(order), vase(2), light=light), atol=HALF * shots[0].max())
 
 
 def test_a_membrane_that_hides_everything_beside_one_that_hides_nothing(tmp_path):
@@ -230,8 +226,8 @@ def test_a_membrane_that_hides_everything_beside_one_that_hides_nothing(tmp_path
     for renderer in RENDERERS:
         seen = picture(field, plane(1, 0.5), renderer, angles=AHEAD, light=behind)
         # At the middles of the texels, a quarter and three quarters of the way.
-        np.testing.assert_allclose(seen[20, 11, :3], hidden, atol=0.1 * open_)
-        np.testing.assert_allclose(seen[20, 28, :3], open_ + hidden, atol=0.1 * open_)
+        close(seen[20, 11, :3], hidden, atol=0.1 * open_)
+        close(seen[20, 28, :3], open_ + hidden, atol=0.1 * open_)
 
 
 def test_grooves_of_no_depth_are_flat(tmp_path):
@@ -239,7 +235,7 @@ def test_grooves_of_no_depth_are_flat(tmp_path):
     field = kept(lobe_field(groove, 3, coherent=True), tmp_path)
     seen = colours(picture(field, plane(1), angles=AHEAD))
     exact = 0.8 * unit_irradiance(ORDER) @ LIGHT
-    np.testing.assert_allclose(seen, np.broadcast_to(exact, seen.shape), rtol=0.02)
+    close(seen, np.broadcast_to(exact, seen.shape), rtol=0.02)
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -250,18 +246,18 @@ def test_surfaces_that_have_collapsed_are_still_drawn(renderer, bumpy):
     crushed = np.where(low[:, None], [0.0, -0.2, 0.0], canvas.positions)
     normals = np.where(low[:, None], 0.0, canvas.normals)
     moved = canvas.moved(crushed, normals)
-    assert np.isfinite(moved.frames).all()
+    finite(moved.frames)
     seen, whole = picture(field, moved, renderer), picture(field, canvas, renderer)
-    assert colours(seen).mean() == pytest.approx(colours(whole).mean(), rel=0.3)
+    close(colours(seen).mean(), colours(whole).mean(), 0.3)
     flat = canvas.moved(canvas.positions * [1.0, 0.0, 1.0], canvas.normals)
-    assert np.isfinite(flat.twisted(1.0).frames).all()
+    finite(flat.twisted(1.0).frames)
 
 
 def test_turns_without_end_are_turns(bumpy):
     canvas = plane(2)
     for angle in (0.0, 1e-12, 50.0, -1e4):
         frames = canvas.twisted(angle).frames
-        np.testing.assert_allclose(
+        close(
             np.einsum("vji,vjk->vik", frames, frames), np.eye(3) + np.zeros_like(frames), atol=1e-9
         )
     picture(lobe_field(bumpy, 2), canvas.twisted(50.0))

@@ -10,6 +10,7 @@ import pytest
 
 from prtnet.sh import lower_hemisphere
 from prtnet.zh import Lobes
+from tests.hard_cases.measured import at_most, below, close, finite
 from tests.models import random_poses
 from tests.training.data import memory_dataset
 from tests.training.test_lobe_targets import two_lobes, with_visibility
@@ -27,12 +28,12 @@ def fitted(data, **options):
     model = train(data, config)
     everywhere = np.concatenate([data.read("pose"), random_poses(5, 4, seed=9)])
     answer = model(everywhere)
-    assert np.isfinite(answer).all()
+    finite(answer)
     lobes = model.lobes_of(everywhere)
-    assert np.allclose(np.linalg.norm(lobes.axes, axis=-1), 1.0, atol=1e-5)
+    close(np.linalg.norm(lobes.axes, axis=-1), 1.0, atol=1e-5)
     session = onnxruntime.InferenceSession(build_onnx(model).SerializeToString())
     got = session.run(None, {"pose": everywhere})[0]
-    assert np.abs(got - answer).max() <= 1e-5 * np.abs(answer).max() + 1e-6
+    at_most(np.abs(got - answer).max(), 1e-5 * np.abs(answer).max() + 1e-6)
     return model
 
 
@@ -43,7 +44,7 @@ def test_always_lit_or_always_dark(lobes, level):
     model = fitted(data, lobes=lobes)
     assert model.latents.sum() == 0
     # Dark: one lobe about the normal holds it all, but for what the ridge takes off.
-    assert np.allclose(model(data.read("pose")), level, atol=0.02)
+    close(model(data.read("pose")), level, atol=0.02)
 
 
 @pytest.mark.parametrize("regressor", ["linear", "neural"])
@@ -51,7 +52,7 @@ def test_open_receivers_among_others(regressor):
     data = two_lobes()
     data.read("visibility")[:, ::3] = OPEN
     model = fitted(data, regressor=regressor, latents=8)
-    assert np.allclose(model(data.read("pose"))[:, ::3], OPEN, atol=0.05)
+    close(model(data.read("pose"))[:, ::3], OPEN, atol=0.05)
 
 
 @pytest.mark.parametrize("regressor", ["linear", "neural"])
@@ -64,7 +65,7 @@ def test_receivers_that_are_shadowed_in_one_pose_alone(regressor):
     truth[5, ::3] = seen[::3]
     model = fitted(data, regressor=regressor, latents=8)
     error = np.abs(model(data.read("pose", data.training_poses()))[:, ::3] - OPEN)
-    assert np.median(error) < 0.15
+    below(np.median(error), 0.15)
 
 
 @pytest.mark.parametrize("lobes", [1, 2])
@@ -76,7 +77,7 @@ def test_one_pose(lobes):
     assert model.latents.sum() == 0
     truth = data.read("visibility")
     error = np.linalg.norm(model(data.read("pose")) - truth) / np.linalg.norm(truth)
-    assert error < (0.3 if lobes == 1 else 0.05)
+    below(error, 0.3 if lobes == 1 else 0.05)
 
 
 def test_equal_poses():
@@ -86,7 +87,7 @@ def test_equal_poses():
     model = fitted(with_visibility(data, truth))
     mean = truth[data.training_poses()].mean(axis=0)
     error = np.linalg.norm(model(data.read("pose")[:1])[0] - mean) / np.linalg.norm(mean)
-    assert error < 0.1
+    below(error, 0.1)
 
 
 def test_two_lobes_that_merge_and_part():
@@ -101,7 +102,7 @@ def test_two_lobes_that_merge_and_part():
     truth = Lobes(axes, g).harmonics().astype(np.float32)
     model = fitted(with_visibility(data, truth), latents=8)
     lobes = model.lobes_of(data.read("pose"))
-    assert np.abs(lobes.coefficients).max() < 10.0
+    below(np.abs(lobes.coefficients).max(), 10.0)
 
 
 def test_a_single_lobe_seen_by_two():
@@ -115,7 +116,8 @@ def test_a_single_lobe_seen_by_two():
     model = fitted(with_visibility(data, truth), latents=20)
     poses = data.read("pose", data.training_poses())
     mean = truth[data.training_poses()].mean(axis=0)
-    assert np.linalg.norm(model.training_mean - mean) < 1e-4 * np.linalg.norm(mean)
-    assert np.linalg.norm(model(poses) - truth[data.training_poses()]) < 0.3 * np.linalg.norm(
-        truth[data.training_poses()]
+    below(np.linalg.norm(model.training_mean - mean), 1e-4 * np.linalg.norm(mean))
+    below(
+        np.linalg.norm(model(poses) - truth[data.training_poses()]),
+        0.3 * np.linalg.norm(truth[data.training_poses()]),
     )

@@ -17,6 +17,7 @@ from prtnet.zh_fit import fit_lobes
 from runtime.camera import Camera
 from runtime.draw import opened, render_material
 from runtime.reflected import Side, Subject, outgoing_radiance
+from tests.hard_cases.measured import above, at_least, at_most, below, close, equal, finite
 from tests.runtime.scenes import frames_of, knot_subject, sky, three_quarters
 
 SIZE = (48, 36)
@@ -43,19 +44,19 @@ def picture(name: str, subject: Subject, light: np.ndarray, operator: Reflection
 @pytest.mark.parametrize("text", EXTREMES)
 def test_smooth_and_rough_to_the_end(name, text):
     drawn = picture(name, knot_subject(), sky(), made(text))
-    assert np.isfinite(drawn).all()
-    assert drawn[..., :3].max() > 0.0
+    finite(drawn)
+    above(drawn[..., :3].max(), 0.0)
 
 
 @pytest.mark.parametrize("text", EXTREMES)
 def test_extremes_survive_half_precision(text):
     operator = made(text)
     data = operator.packed()
-    assert len(data) <= 10_000
+    at_most(len(data), 10_000)
     again = ReflectionOperator.unpacked(data, 8)
-    assert np.isfinite(again.matrices).all()
+    finite(again.matrices)
     scale = np.abs(operator.matrices).max()
-    assert np.abs(again.matrices - operator.matrices).max() <= 1e-3 * scale
+    at_most(np.abs(again.matrices - operator.matrices).max(), 1e-3 * scale)
 
 
 @pytest.mark.parametrize("name", RENDERERS)
@@ -65,8 +66,8 @@ def test_a_black_material_is_black(name, kind):
     black = ",".join(f"{field}=0" for field in sorted(fields))
     operator = made(f"{kind}:{black}")
     drawn = picture(name, knot_subject(detail=1), sky(), operator)
-    assert np.isfinite(drawn).all()
-    assert np.abs(drawn[..., :3]).max() < 1e-6
+    finite(drawn)
+    below(np.abs(drawn[..., :3]).max(), 1e-6)
     assert drawn[..., 3].max() == 1.0
 
 
@@ -75,7 +76,7 @@ def test_negative_factors_are_as_good_as_others():
     operator = made("gold")
     turned = ReflectionOperator(-operator.matrices, -operator.view)
     one, other = (picture("gl", knot_subject(), sky(), each) for each in (operator, turned))
-    assert one == pytest.approx(other, abs=1e-6)
+    close(one, other, 0.0, 1e-6)
 
 
 @pytest.mark.parametrize("name", RENDERERS)
@@ -83,8 +84,8 @@ def test_no_light_at_all(name):
     dark = Environment(Picture(np.zeros((4, 8, 3), dtype=np.float32)))
     light = dark.harmonics(4)
     drawn = picture(name, knot_subject(detail=1), light, material(brdf_named("matte")))
-    assert not drawn[..., :3].any()
-    assert np.isfinite(fit_lobes(light.T, 3).harmonics()).all()
+    equal(drawn[..., :3], 0)
+    finite(fit_lobes(light.T, 3).harmonics())
 
 
 @pytest.mark.parametrize("name", RENDERERS)
@@ -94,10 +95,10 @@ def test_a_sun_of_one_texel(name):
     texels[10, 40] = 70_000.0
     light = Environment(Picture(texels)).harmonics(4)
     lobes = fit_lobes(light.T, 3)
-    assert np.abs(lobes.harmonics() - light.T).max() < 1e-2 * np.abs(light).max()
+    below(np.abs(lobes.harmonics() - light.T).max(), 1e-2 * np.abs(light).max())
     drawn = picture(name, knot_subject(), light, material(brdf_named("matte")))
-    assert np.isfinite(drawn).all()
-    assert drawn[..., :3].max() > 1.0
+    finite(drawn)
+    above(drawn[..., :3].max(), 1.0)
 
 
 HEIGHTS = (1e-300, 1e-150, 1e-12, 1e-6, 1e-3, 0.0, -1e-12)
@@ -112,10 +113,10 @@ def test_light_and_view_along_the_surface(kind):
     every = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=-1).reshape(-1, 3)
     brdf = BRDFS[kind]()
     reflected = brdf(every[:, None], every) * np.maximum(every[:, None, 2:], 0.0)
-    assert np.isfinite(reflected).all()
-    assert (reflected >= 0.0).all()
-    assert not reflected[every[:, 2] <= 0.0].any()
-    assert not reflected[:, every[:, 2] <= 0.0].any()
+    finite(reflected)
+    at_least(reflected, 0.0)
+    equal(reflected[every[:, 2] <= 0.0], 0)
+    equal(reflected[:, every[:, 2] <= 0.0], 0)
 
 
 def test_eyes_in_the_plane_and_behind_it():
@@ -126,7 +127,7 @@ def test_eyes_in_the_plane_and_behind_it():
     eyes = [1.0, 0.0, 0.0], [1.0, 0.0, 1e-9], [0.0, 0.0, -1.0], [1e-30, 0.0, 0.0], [0.0, 0.0, 1e8]
     for eye in eyes:
         seen = outgoing_radiance(np.zeros((1, 3)), side, np.array(eye), lobes, operator)
-        assert np.isfinite(seen).all()
+        finite(seen)
 
 
 def floor() -> Subject:
@@ -154,10 +155,10 @@ def test_a_floor_seen_along_itself_under_a_light_along_it(text, elevation):
     for name in ("cpu", "gl"):
         with opened(name) as renderer:
             pictures.append(render_material(renderer, floor(), lobes, made(text), camera, SIZE))
-    assert np.isfinite(pictures).all()
-    assert pictures[0][..., 3].mean() > 0.1
+    finite(pictures)
+    above(pictures[0][..., 3].mean(), 0.1)
     scale = max(1.0, float(np.abs(pictures[0]).max()))
-    assert np.abs(pictures[0] - pictures[1]).max() <= 2e-2 * scale
+    at_most(np.abs(pictures[0] - pictures[1]).max(), 2e-2 * scale)
 
 
 @pytest.mark.parametrize("name", RENDERERS)
@@ -170,12 +171,13 @@ def test_vertices_that_see_nothing_are_black_and_the_others_as_before(name, text
     blind = Side(visibility, subject.front.frames)
     part = picture(name, Subject(subject.positions, subject.faces, blind), sky(), made(text))
     changed = (part != whole).any(axis=-1)
-    assert 0.02 < changed.mean() < 0.5
-    assert (part[changed][:, :3] == 0.0).all(axis=1).mean() > 0.6  # others hold the ring, too
+    above(changed.mean(), 0.02)
+    below(changed.mean(), 0.5)
+    above((part[changed][:, :3] == 0.0).all(axis=1).mean(), 0.6)  # others hold the ring, too
     none = Side(np.zeros_like(visibility), subject.front.frames)
     dark = picture(name, Subject(subject.positions, subject.faces, none), sky(), made(text))
-    assert not dark[..., :3].any()
-    assert np.array_equal(dark[..., 3], whole[..., 3])
+    equal(dark[..., :3], 0)
+    equal(dark[..., 3], whole[..., 3])
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1e5])
@@ -187,4 +189,4 @@ def test_scale_and_place_do_not_matter(scale, shift):
     expected = outgoing_radiance(subject.positions, subject.front, eye, lobes, operator)
     moved = (subject.positions.astype(np.float64) + shift) * scale
     got = outgoing_radiance(moved, subject.front, (eye + shift) * scale, lobes, operator)
-    assert got == pytest.approx(expected, abs=1e-4)
+    close(got, expected, 0.0, 1e-4)

@@ -14,6 +14,7 @@ from runtime.draw import opened, render
 from runtime.picture import auto_exposure, develop, srgb_encode
 from runtime.rasteriser import rasterise
 from runtime.shading import Surface
+from tests.hard_cases.measured import above, at_least, at_most, below, equal
 from tests.runtime.scenes import knot, sky, three_quarters
 
 # What the project promises: equal within one step of eight bits on 99.9 % of pixels.
@@ -27,7 +28,7 @@ def agreement(surface: Surface, camera: Camera, size: tuple[int, int], samples: 
     for name in ("cpu", "gl"):
         with opened(name) as renderer:
             drawn = render(renderer, surface, sky(), camera, size, samples=samples)
-        assert drawn[..., 3].mean() > 0.05
+        above(drawn[..., 3].mean(), 0.05)
         linear = drawn[..., :3] + (1 - drawn[..., 3:]) * 0.1
         encoded.append(srgb_encode(linear))
     return float(np.mean(np.abs(encoded[0] - encoded[1]).max(axis=-1) <= STEP))
@@ -38,7 +39,7 @@ def agreement(surface: Surface, camera: Camera, size: tuple[int, int], samples: 
 @pytest.mark.parametrize("two_sided", [False, True])
 def test_both_renderers_draw_the_same_picture(samples, two_sided):
     surface, size = knot(two_sided=two_sided, detail=4), (321, 243)
-    assert agreement(surface, three_quarters(surface, size), size, samples) >= SHARE
+    at_least(agreement(surface, three_quarters(surface, size), size, samples), SHARE)
 
 
 @pytest.mark.gl
@@ -51,7 +52,7 @@ def test_both_renderers_agree_on_a_scanned_mesh(shared_data, samples):
     transfer = 1 + 0.3 * np.sin(4 * mesh.vertices @ rng.normal(size=(3, 16)))
     surface = Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces), transfer)
     size = (400, 300)
-    assert agreement(surface, three_quarters(surface, size), size, samples) >= SHARE
+    at_least(agreement(surface, three_quarters(surface, size), size, samples), SHARE)
 
 
 @pytest.mark.gl
@@ -60,7 +61,7 @@ def test_both_renderers_agree_from_inside_the_mesh():
     surface, size = knot(two_sided=True, detail=4), (200, 150)
     for eye in ((1.0, 0.0, 0.0), (0.0, 0.5, 0.0), (0.9, 0.1, 0.25)):
         camera = Camera(eye=eye, target=(0.2, -0.1, 0.1), fov=math.radians(100), near=0.05, far=9)
-        assert agreement(surface, camera, size, 1) >= SHARE
+        at_least(agreement(surface, camera, size, 1), SHARE)
 
 
 @pytest.mark.gl
@@ -82,7 +83,7 @@ def test_both_renderers_agree_on_loose_triangles(seed):
             pictures.append(renderer.draw(surface, np.full((4, 3), 0.2), matrix, (96, 96)))
     near = np.abs(pictures[0] - pictures[1]).max(axis=-1) <= STEP
     # Few, large edges: one row of samples beside an edge may fall either way.
-    assert near.mean() > 0.99
+    above(near.mean(), 0.99)
 
 
 def grid(rng: np.random.Generator, count: int, jitter: float) -> tuple[np.ndarray, np.ndarray]:
@@ -106,7 +107,7 @@ def test_triangles_that_share_edges_cover_every_pixel_once(jitter):
     for face in faces:
         drawn = rasterise(positions, face[None], np.ones_like(positions), np.eye(4), size)
         times += drawn[..., 3]
-    assert (times == 1).all()
+    equal(times, 1)
 
 
 def test_edges_that_run_far_out_of_the_picture_stay_shared():
@@ -119,7 +120,7 @@ def test_edges_that_run_far_out_of_the_picture_stay_shared():
         face = np.array([[0, 1 + k, 1 + (k + 1) % 40]])
         drawn = rasterise(positions, face, np.ones_like(positions), np.eye(4), (64, 64))
         times += drawn[..., 3]
-    assert (times == 1).all()
+    equal(times, 1)
 
 
 def test_a_closed_mesh_has_no_pinholes():
@@ -132,8 +133,8 @@ def test_a_closed_mesh_has_no_pinholes():
             surface.positions, surface.faces, green, camera.matrix(1.0), (300, 300), red
         )
         # Where facets fold over at the outline a sliver of their back is truly in view.
-        assert drawn[..., 0].sum() <= 3
-        assert drawn[..., 1].sum() > 10_000
+        at_most(drawn[..., 0].sum(), 3)
+        above(drawn[..., 1].sum(), 10_000)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
@@ -146,7 +147,7 @@ def test_scale_and_place_do_not_change_the_picture(scale, shift):
         positions = (surface.positions.astype(np.float64) + offset) * factor
         camera = Camera.framing(positions, 4 / 3)
         pictures.append(rasterise(positions, surface.faces, colours, camera.matrix(4 / 3), size))
-    assert np.mean(np.abs(pictures[0] - pictures[1]).max(axis=-1) > STEP) < 1e-3
+    below(np.mean(np.abs(pictures[0] - pictures[1]).max(axis=-1) > STEP), 1e-3)
 
 
 @pytest.mark.parametrize("name", ["cpu", pytest.param("gl", marks=pytest.mark.gl)])
@@ -165,7 +166,7 @@ def test_broken_vertices_take_only_their_own_triangles_away(name):
         )
         kept = Surface(surface.positions, surface.faces[whole], surface.transfer)
         expected = render(renderer, kept, sky(), camera, size)
-    np.testing.assert_array_equal(drawn, expected)
+    equal(drawn, expected)
 
 
 def test_degenerate_and_gigantic_triangles():
@@ -178,7 +179,7 @@ def test_degenerate_and_gigantic_triangles():
     colours = np.repeat([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [1, 1, 1], [1, 1, 0]], 3, axis=0)
     matrix = np.diag([10.0, 10.0, 1.0, 10.0])
     drawn = rasterise(positions, np.arange(15).reshape(-1, 3), colours, matrix, size)
-    assert (drawn == [0, 0, 1, 1]).all()
+    equal(drawn, np.broadcast_to([0.0, 0.0, 1.0, 1.0], drawn.shape))
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 300), (300, 1), (3, 2)])
@@ -200,8 +201,8 @@ def test_visibility_that_is_not_a_number_is_drawn_black_and_nothing_else_changes
         drawn = render(renderer, Surface(surface.positions, surface.faces, transfer), sky(), camera,
                        size)  # fmt: skip
         sound = render(renderer, surface, sky(), camera, size)
-    np.testing.assert_array_equal(drawn[..., 3], sound[..., 3])
+    equal(drawn[..., 3], sound[..., 3])
     touched = np.isnan(drawn[..., 0])
-    np.testing.assert_array_equal(drawn[~touched], sound[~touched])
+    equal(drawn[~touched], sound[~touched])
     assert np.isfinite(auto_exposure(drawn))
-    assert (develop(drawn, 1.0)[touched] == 0).all()
+    equal(develop(drawn, 1.0)[touched], 0)

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from prtnet.errors import PrtnetError
 from prtnet.metrics import relative_rms
 from prtnet.storage import STORAGES
 from runtime.onnx_model import OnnxModel
+from tests.hard_cases.measured import at_least, at_most, below, close, finite, refuses
 from tests.models import random_model, random_poses
 from tests.priors import beside_prior, random_prior, sheet_with_prior
 from tests.runtime.shader import shaded
@@ -37,9 +37,9 @@ def usual(data):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("storage", ["float32", "int4"])
-def test_far_poses_stay_within_what_training_saw(kind, storage):
+def test_far_poses_stay_within_what_training_saw(kind, storage, device):
     data = memory_dataset(per_clip=12)
-    model = fitted(data, kind, latents=4, alpha=1e-2, storage=storage)
+    model = fitted(data, kind, device=device, latents=4, alpha=1e-2, storage=storage)
     rows = data.training_poses()
     poses, truth = data.read("pose", rows), data.read("visibility", rows)
     middle = poses.mean(axis=0)
@@ -47,45 +47,45 @@ def test_far_poses_stay_within_what_training_saw(kind, storage):
         far = (middle + times * (poses - middle)).astype(np.float32)
         value = model(far)
         low, high = truth.min(axis=(0, 1)), truth.max(axis=(0, 1))
-        assert (value >= low - 1e-6).all()
-        assert (value <= high + 1e-6).all()
-        assert relative_rms(value, truth) < 0.5  # of values that lie between 2.5 and 4.5
+        at_least(value, low - 1e-6)
+        at_most(value, high + 1e-6)
+        below(relative_rms(value, truth), 0.5)  # of values that lie between 2.5 and 4.5
     graph = OnnxModel(build_onnx(model).SerializeToString(), threads=1)
-    assert np.abs(graph(far) - value).max() <= 1e-4 * np.abs(value).max()
+    at_most(np.abs(graph(far) - value).max(), 1e-4 * np.abs(value).max())
     free = dataclasses.replace(model, bounds=None)
-    assert relative_rms(free(far), truth) >= relative_rms(value, truth) - 1e-6
+    at_least(relative_rms(free(far), truth), relative_rms(value, truth) - 1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("poses", [1, 2])
-def test_one_pose_and_two_equal_ones(kind, poses):
+def test_one_pose_and_two_equal_ones(kind, poses, device):
     pose = np.repeat(random_poses(1, 4), poses, axis=0)
     data = memory_dataset(poses=pose, clips=1)
-    model = fitted(data, kind)
+    model = fitted(data, kind, device=device)
     mean = data.read("visibility").mean(axis=0)
-    assert np.abs(model(pose[:1])[0] - mean).max() < 0.05 * np.abs(mean).max()
-    assert np.isfinite(model(random_poses(5, 4, seed=9))).all()
+    below(np.abs(model(pose[:1])[0] - mean).max(), 0.05 * np.abs(mean).max())
+    finite(model(random_poses(5, 4, seed=9)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("level", [0.0, 3.5449])
-def test_always_lit_or_always_dark(kind, level):
+def test_always_lit_or_always_dark(kind, level, device):
     data = memory_dataset()
     data.read("visibility")[:] = level
-    model = fitted(data, kind)
+    model = fitted(data, kind, device=device)
     everywhere = np.concatenate([data.read("pose"), random_poses(5, 4, seed=9)])
-    assert model(everywhere) == pytest.approx(level, abs=1e-5)
+    close(model(everywhere), level, 0.0, 1e-5)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_fewer_poses_than_anything(kind):
+def test_fewer_poses_than_anything(kind, device):
     data = memory_dataset(clips=2, per_clip=3)
-    model = fitted(data, kind, latents=50.0, samples=50)
+    model = fitted(data, kind, device=device, latents=50.0, samples=50)
     value = model(random_poses(20, 4, seed=9))
     truth = data.read("visibility", data.training_poses())
-    assert np.isfinite(value).all()
-    assert np.abs(value).max() <= np.abs(truth).max() + 1e-6
-    assert usual(data) < 0.5
+    finite(value)
+    at_most(np.abs(value).max(), np.abs(truth).max() + 1e-6)
+    below(usual(data), 0.5)
 
 
 def at_rest(skin):
@@ -100,7 +100,7 @@ def shader_error(skin, poses, kind="maps"):
     prior = random_prior(kind, receivers=40, surroundings=skin)
     model = beside_prior(random_model(receivers=40), prior)
     expected = model(poses)
-    assert np.isfinite(expected).all()
+    finite(expected)
     return np.abs(shaded(model, poses) - expected).max() / np.abs(expected).max()
 
 
@@ -116,7 +116,7 @@ def test_a_shader_knows_receivers_in_and_on_spheres(times):
     # One joint each: weights that blend equal matrices would round where the receiver is.
     one = np.eye(3, dtype=np.float32)[np.zeros(40, dtype=int)]
     skin = dataclasses.replace(skin, skin_weight=one)
-    assert shader_error(skin, pose) <= 3e-6
+    at_most(shader_error(skin, pose), 3e-6)
 
 
 @pytest.mark.gl
@@ -135,7 +135,7 @@ def test_a_shader_knows_receivers_in_and_on_spheres(times):
 @pytest.mark.parametrize("kind", ["maps", "network"])
 def test_a_shader_with_nothing_to_see(nothing, kind):
     skin = dataclasses.replace(random_skin(), **nothing)
-    assert shader_error(skin, random_poses(2, 5), kind) <= 3e-6
+    at_most(shader_error(skin, random_poses(2, 5), kind), 3e-6)
 
 
 @pytest.mark.gl
@@ -151,9 +151,8 @@ def test_a_shader_stays_within_the_range_of_training(kind):
     seen = skin(poses)
     assert (seen > prior.high + 1.0).any()
     assert (seen < prior.low - 0.01).any()
-    assert (
-        shader_error(skin, poses, kind) <= 1e-4
-    )  # at 300 m float32 knows places to 10 micrometres
+    # At 300 m float32 knows places to 10 micrometres.
+    at_most(shader_error(skin, poses, kind), 1e-4)
 
 
 @pytest.mark.gl
@@ -161,7 +160,7 @@ def test_a_shader_with_joints_of_no_size():
     """Limbs scaled to nothing have neither normals nor spheres."""
     poses = random_poses(2, 5).reshape(2, 5, 3, 4)
     poses[:, 1:3, :, :3] = 0.0
-    assert shader_error(random_skin(), poses.reshape(2, -1)) <= 3e-6
+    at_most(shader_error(random_skin(), poses.reshape(2, -1)), 3e-6)
 
 
 @pytest.mark.gl
@@ -173,45 +172,45 @@ def test_a_shader_of_a_sheet_that_is_crumpled_flat_or_far_away(kind):
     hard = np.stack([flat.ravel(), rng.normal(size=poses.shape[1]), np.zeros(poses.shape[1]),
                      np.round((poses[-1] + 512.0) * 4096) / 4096]).astype(np.float32)  # fmt: skip
     expected = model(hard)
-    assert np.abs(shaded(model, hard) - expected).max() <= 3e-6 * np.abs(expected).max()
+    at_most(np.abs(shaded(model, hard) - expected).max(), 3e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_weight_decay_at_all(kind):
+def test_no_weight_decay_at_all(kind, device):
     data = memory_dataset(clips=2, per_clip=3)
-    model = fitted(data, kind, latents=4, alpha=0.0)
+    model = fitted(data, kind, device=device, latents=4, alpha=0.0)
     truth = data.read("visibility", data.training_poses())
     value = model(np.concatenate([data.read("pose"), random_poses(9, 4, seed=9)]))
-    assert (value >= truth.min() - 1e-6).all()
-    assert (value <= truth.max() + 1e-6).all()
+    at_least(value, truth.min() - 1e-6)
+    at_most(value, truth.max() + 1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_joints_that_never_move_or_only_in_held_out_clips(kind):
+def test_joints_that_never_move_or_only_in_held_out_clips(kind, device):
     for everywhere in (True, False):
         data = memory_dataset()
         poses = data.read("pose").reshape(-1, 4, 3, 4)
         rows = slice(None) if everywhere else data.training_poses()
         poses[rows, 2, :, :3] = poses[rows, 1, :, :3]  # at rest on its parent
-        model = fitted(data, kind, latents=4)
+        model = fitted(data, kind, device=device, latents=4)
         held = data.held_out_poses()
         value, truth = model(data.read("pose", held)), data.read("visibility", held)
-        assert relative_rms(value, truth) < 0.5
+        below(relative_rms(value, truth), 0.5)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("extreme", [HALF, 6e-8])
-def test_half_precision_extremes(kind, extreme):
+def test_half_precision_extremes(kind, extreme, device):
     data = memory_dataset()
     data.read("visibility")[::2, 3] = extreme
-    model = fitted(data, kind, latents=4)
+    model = fitted(data, kind, device=device, latents=4)
     everywhere = np.concatenate([data.read("pose"), random_poses(5, 4, seed=9)])
     for storage in STORAGES:
-        assert np.isfinite(model.stored_as(storage)(everywhere)).all()
+        finite(model.stored_as(storage)(everywhere))
 
 
-def test_a_loss_that_is_not_finite_is_told():
+def test_a_loss_that_is_not_finite_is_told(device):
     data = memory_dataset()
     data.read("visibility")[::2, 3] = 1e30
-    with pytest.raises(PrtnetError, match="shared network's loss is not finite after"):
-        fitted(data, "shared")
+    with refuses(match="shared network's loss is not finite after"):
+        fitted(data, "shared", device=device)

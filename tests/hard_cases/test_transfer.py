@@ -15,6 +15,7 @@ from data_gen.reliefs import relief
 from data_gen.static_mesh import StaticMesh, clean_mesh, read_mesh
 from data_gen.transport import unit_irradiance
 from prtnet.dipole import MATERIALS
+from tests.hard_cases.measured import above, at_least, at_most, below, close, equal, finite
 
 WHITE = math.sqrt(4 * math.pi)
 TILED = (True, True)
@@ -33,7 +34,7 @@ def box(inwards: bool) -> tuple[np.ndarray, np.ndarray]:
 def test_flat_patch(tiles: tuple[bool, bool], height: float, shape: tuple[int, int]) -> None:
     field = bake_patch(np.full(shape, height), (0.1, 0.1), tiles, CONFIG)
     expected = np.tile(0.8 * unit_irradiance(4), (shape[0] * shape[1], 1))
-    np.testing.assert_allclose(field.vectors, expected, atol=1e-7)
+    close(field.vectors, expected, atol=1e-7)
 
 
 @pytest.mark.parametrize("deep", [-math.inf, -1e30, -1e3])
@@ -43,21 +44,20 @@ def test_pit_without_a_floor(deep: float) -> None:
     heights[8, 8] = deep
     field = bake_patch(heights, (1.0, 1.0), TILED, CONFIG)
     white = field.vectors[:, 0].reshape(16, 16) * WHITE
-    assert 0 <= white[8, 8] < 1e-3
+    at_least(white[8, 8], 0)
+    below(white[8, 8], 1e-3)
     flat = np.ones((16, 16), dtype=bool)
     flat[7:10, 7:10] = False
-    np.testing.assert_allclose(
-        field.vectors[flat.ravel()], np.tile(0.8 * unit_irradiance(4), (247, 1)), atol=1e-6
-    )
+    close(field.vectors[flat.ravel()], np.tile(0.8 * unit_irradiance(4), (247, 1)), atol=1e-6)
     rim = white[7:10, 7:10].ravel()
-    assert (rim >= 0).all()
-    assert (rim <= 0.8 + 1e-6).all()
-    assert field.layout.heights.min() >= -17.0  # type: ignore[union-attr]
+    at_least(rim, 0)
+    at_most(rim, 0.8 + 1e-6)
+    at_least(field.layout.heights.min(), -17.0)  # type: ignore[union-attr]
 
 
 def test_one_texel_is_a_plane_whatever_it_says() -> None:
     field = bake_patch(np.array([[0.3]]), (1.0, 1.0), TILED, CONFIG)
-    np.testing.assert_allclose(field.vectors[0], 0.8 * unit_irradiance(4), atol=1e-7)
+    close(field.vectors[0], 0.8 * unit_irradiance(4), atol=1e-7)
 
 
 def test_a_lone_spike() -> None:
@@ -65,9 +65,9 @@ def test_a_lone_spike() -> None:
     heights[6, 6] = 3.0
     field = bake_patch(heights, (1.0, 1.0), TILED, CONFIG)
     white = field.vectors[:, 0] * WHITE
-    assert np.isfinite(white).all()
-    assert white.min() >= 0
-    assert white.max() <= 0.8 + 1e-6
+    finite(white)
+    at_least(white.min(), 0)
+    at_most(white.max(), 0.8 + 1e-6)
 
 
 @pytest.mark.parametrize("albedo", [0.5, 1.0])
@@ -75,7 +75,7 @@ def test_closed_box_is_dark_inside(albedo: float) -> None:
     """With albedo 1 nothing would ever absorb what came in; nothing comes in."""
     mesh = clean_mesh("box", *box(inwards=True))
     field = bake_mesh(mesh, dataclasses.replace(CONFIG, albedo=albedo))
-    np.testing.assert_array_equal(field.transfer, 0.0)
+    equal(field.transfer, 0.0)
     assert field.metadata["diverges"] is False
 
 
@@ -89,10 +89,10 @@ def test_box_with_a_hole_and_albedo_one_is_told_to_be_slow() -> None:
     early = bake_mesh(mesh, dataclasses.replace(config, bounces=4))
     assert early.metadata["left"] is None or early.metadata["left"] > 0.1
     late = bake_mesh(mesh, dataclasses.replace(config, bounces=3000, tolerance=1e-4))
-    assert late.metadata["left"] <= 1e-4
-    assert late.vectors.max() * WHITE == pytest.approx(1.0, abs=0.02)
+    at_most(late.metadata["left"], 1e-4)
+    close(late.vectors.max() * WHITE, 1.0, 0.0, 0.02)
     # Rays that leave over the hole's edges see the room's outside, which is dark.
-    assert late.vectors.min() * WHITE > 0.9
+    above(late.vectors.min() * WHITE, 0.9)
 
 
 def test_a_box_within_a_box_hides_only_what_is_between() -> None:
@@ -103,8 +103,8 @@ def test_a_box_within_a_box_hides_only_what_is_between() -> None:
     field = bake_mesh(clean_mesh("both", places, faces), CONFIG)
     alone = bake_mesh(clean_mesh("outer", *outer), CONFIG)
     count = len(outer[0])
-    np.testing.assert_array_equal(field.transfer[count:], 0.0)
-    np.testing.assert_allclose(
+    equal(field.transfer[count:], 0.0)
+    close(
         np.linalg.norm(field.vectors[:count], axis=1), np.linalg.norm(alone.vectors, axis=1),
         atol=1e-5,
     )  # fmt: skip
@@ -120,9 +120,7 @@ def test_useless_triangles_and_vertices_change_nothing() -> None:
     mixed = clean_mesh("a", np.concatenate([places, stray]), np.concatenate([useless, faces]))
     assert mixed.dropped == (3, 3)
     dirty = bake_mesh(mixed, CONFIG)
-    np.testing.assert_allclose(
-        np.linalg.norm(dirty.vectors, axis=1), np.linalg.norm(plain.vectors, axis=1), atol=2e-3
-    )
+    close(np.linalg.norm(dirty.vectors, axis=1), np.linalg.norm(plain.vectors, axis=1), atol=2e-3)
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
@@ -131,9 +129,7 @@ def test_meshes_of_any_size_and_place(scale: float, offset: tuple[float, float, 
     ball = shapes.icosphere(2)
     places = (np.array(ball.vertices) + offset) * scale
     field = bake_mesh(clean_mesh("ball", places, np.array(ball.faces)), CONFIG)
-    np.testing.assert_allclose(
-        field.vectors, np.tile(0.8 * unit_irradiance(4), (len(places), 1)), atol=1e-5
-    )
+    close(field.vectors, np.tile(0.8 * unit_irradiance(4), (len(places), 1)), atol=1e-5)
 
 
 def test_relief_that_does_not_tile() -> None:
@@ -142,8 +138,8 @@ def test_relief_that_does_not_tile() -> None:
     tiled = bake_patch(ramp, (1.0, 1.0), TILED, CONFIG).vectors[:, 0].reshape(24, 24) * WHITE
     ended = bake_patch(ramp, (1.0, 1.0), (False, True), CONFIG)
     low = ended.vectors[:, 0].reshape(24, 24) * WHITE
-    assert tiled[12, 1] < 0.75 * low[12, 1]  # at the foot of the cliff
-    assert np.isfinite(ended.transfer).all()
+    below(tiled[12, 1], 0.75 * low[12, 1])  # at the foot of the cliff
+    finite(ended.transfer)
 
 
 def test_ground_beyond_a_relief_that_ends_is_as_bright_as_its_border() -> None:
@@ -152,7 +148,7 @@ def test_ground_beyond_a_relief_that_ends_is_as_bright_as_its_border() -> None:
     config = dataclasses.replace(CONFIG, albedo=1.0, bounces=300, tolerance=1e-6)
     for tiles in (TILED, (False, True), (False, False)):
         white = bake_patch(hill, (1.0, 1.0), tiles, config).vectors[:, 0] * WHITE
-        np.testing.assert_allclose(white, 1.0, atol=1e-4)
+        close(white, 1.0, atol=1e-4)
 
 
 def test_scatter_without_absorption_keeps_its_light() -> None:
@@ -160,8 +156,8 @@ def test_scatter_without_absorption_keeps_its_light() -> None:
     config = dataclasses.replace(CONFIG, medium=white, order=1, bounces=200)
     field = bake_patch(0.002 * relief("waffle", (18, 18)), (0.02, 0.02), TILED, config, 0.001)
     sent = field.vectors * WHITE
-    assert sent.max() <= 1 + 1e-6
-    assert sent.min() > 0.5
+    at_most(sent.max(), 1 + 1e-6)
+    above(sent.min(), 0.5)
 
 
 def test_the_bunny(shared_data: Path) -> None:
@@ -169,10 +165,10 @@ def test_the_bunny(shared_data: Path) -> None:
     bunny = read_mesh(shared_data / "bunny.ply")
     field = bake_mesh(coarse(bunny), dataclasses.replace(CONFIG, rays=64))
     white = field.vectors[:, 0] * WHITE
-    assert white.min() >= -1e-6
-    assert white.max() <= 0.8 + 1e-6
-    assert np.quantile(white, 0.9) > 0.7
-    assert field.metadata["left"] <= 1e-3
+    at_least(white.min(), -1e-6)
+    at_most(white.max(), 0.8 + 1e-6)
+    above(np.quantile(white, 0.9), 0.7)
+    at_most(field.metadata["left"], 1e-3)
 
 
 def coarse(mesh: StaticMesh) -> StaticMesh:

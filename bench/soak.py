@@ -1,0 +1,268 @@
+"""Long runs of the viewer and the ONNX loop: is memory flat, every pixel finite, no frame late.
+
+    python bench/soak.py [FRAMES] [--write]
+
+Every frame has another pose and camera; now and then light, material, mode, crowd, size of the
+window or the whole character change, as the rates below say. Small windows on a virtual screen,
+small characters: what leaks or stalls does so whatever the size. A frame is *late* if it took more
+than five times the median; it is *ours* if the process computed for as long, else other processes
+had the machine.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import random
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.tables import ROOT, publish
+from data_gen.gltf_writer import write_glb
+from data_gen.procedural import arm
+from data_gen.readers import read_scene
+from prtnet.cli_options import ViewOptions
+from prtnet.cli_view import opened_viewer
+from prtnet.frames import rest_tangents
+from prtnet.materials import BRDFS
+from prtnet.materials import PRESETS as MATERIALS
+from prtnet.model import VisibilityModel
+from prtnet.modelled_scene import ModelledScene
+from prtnet.presets import PRESETS as LIGHTS
+from runtime.memory import resident_bytes
+from runtime.onnx_model import OnnxModel
+from runtime.view import MODES
+from tests.models import random_model
+from tests.priors import beside_prior, random_prior
+from tests.virtual_screen import started_screen
+from training.onnx_export import build_onnx
+
+PAGE = ROOT / "docs" / "reliability.md"
+FRAMES = 100_000
+LATE = 5.0  # medians
+WARM_UP = 0.1  # of the frames: everything has been shown once
+SAMPLES = 200  # of the memory
+KINDS = ("neural", "prior", "lobes")
+RATES = {
+    "light": 0.02, "material": 0.02, "mode": 0.05, "split": 0.05, "crowd": 0.02, "blend": 0.05,
+    "vertex": 0.02, "bands": 0.02, "help": 0.01, "resize": 0.01, "another character": 0.002,
+}  # fmt: skip
+"""How often each is changed, a frame."""
+
+
+@dataclass
+class Soak:
+    """What a run saw."""
+
+    frames: int
+    seconds: float = 0.0
+    memory: list[int] = field(default_factory=list)  # bytes, at equal steps after the warm-up
+    bad: int = 0  # frames with a pixel or number that is not finite
+
+    def __post_init__(self) -> None:
+        """Room for everything that is noted, so that it does not count as growth."""
+        self.wall = np.full(self.frames, np.nan)  # seconds
+        self.busy = np.full(self.frames, np.nan)  # of this process, all threads
+        self.did = [""] * self.frames  # what a frame changed
+
+    def late(self) -> tuple[Counter[str], int]:
+        """Frames that are ours by what they changed, and how many others held up."""
+        late = self.wall > LATE * np.median(self.wall)
+        ours = late & (self.busy > LATE * np.median(self.busy))
+        return Counter(self.did[k] for k in np.flatnonzero(ours)), int((late & ~ours).sum())
+
+    def spread(self) -> float:
+        """Of the memory after the warm-up, a fraction of where it was then."""
+        return (max(self.memory) - min(self.memory)) / self.memory[0]
+
+    def row(self, name: str) -> list[object]:
+        """Of the table."""
+        ours, held_up = self.late()
+        still = ours.pop("", 0)
+        names = ", ".join(f"{what} {count}" for what, count in ours.most_common())
+        megabytes = [f"{count / 1e6:.1f}" for count in (self.memory[0], self.memory[-1])]
+        return [
+            name, f"{self.frames:,}", f"{self.seconds / 3600:.2f}", *megabytes,
+            f"{100 * self.spread():.2f} %", self.bad, still, names or "none", held_up,
+        ]  # fmt: skip
+
+
+COLUMNS = ["", "frames", "hours", "MB after warm-up", "at the end", "spread", "not finite",
+           "late, ours", "late, ours, that changed", "late, held up by others"]  # fmt: skip
+
+
+def soaked(frames: int, step: Callable[[], tuple[str, bool]]) -> Soak:
+    """Call ``step`` so often; it says what it changed, and whether all it made is finite."""
+    found, began = Soak(frames), time.perf_counter()
+    every = max(1, frames // SAMPLES)
+    for number in range(frames):
+        wall, busy = time.perf_counter(), time.process_time()
+        changed, sound = step()
+        found.wall[number] = time.perf_counter() - wall
+        found.busy[number] = time.process_time() - busy
+        found.did[number] = sys.intern(changed)
+        found.bad += not sound
+        if number >= WARM_UP * frames and number % every == 0:
+            found.memory.append(resident_bytes() or 0)
+    found.seconds = time.perf_counter() - began
+    return found
+
+
+def characters(folder: Path) -> list[tuple[Path, Path]]:
+    """Models of several kinds on two scenes; what they say is random, as fits take long."""
+    found = []
+    for segments in (5, 7):
+        scene = arm(segments=segments)
+        write_glb(scene, folder / f"{segments}.glb")
+        for kind, two_sided in itertools.product(KINDS, (False, True)):
+            receivers = scene.receivers(two_sided)
+            model = random_model(
+                "neural" if kind == "neural" else "linear", joints=scene.joint_count,
+                receivers=len(receivers), lobes=2 * (kind == "lobes"),
+            )  # fmt: skip
+            if kind == "prior":
+                prior = random_prior("maps", scene.joint_count, len(receivers), model.order)
+                model = beside_prior(model, prior)
+            model.rest_tangents[:] = rest_tangents(scene, receivers)
+            model.metadata.update(mesh_sha256=scene.mesh_sha256, two_sided=two_sided)
+            found.append((folder / f"{kind}{segments}{two_sided}.safetensors",
+                          folder / f"{segments}.glb"))  # fmt: skip
+            model.save(found[-1][0])
+    return found
+
+
+class OnnxLoop:
+    """The loop of an engine: a pose in, visibility out; now and then another model."""
+
+    def __init__(self, files: list[tuple[Path, Path]], seed: int = 0) -> None:
+        self.rng = random.Random(seed)
+        self.files = files
+        self.take()
+
+    def take(self) -> None:
+        """Another model."""
+        model, scene = self.rng.choice(self.files)
+        self.actor = ModelledScene(VisibilityModel.load(model), read_scene(scene))
+        self.onnx = OnnxModel(build_onnx(self.actor.model).SerializeToString(), threads=1)
+
+    def __call__(self) -> tuple[str, bool]:
+        changed = self.rng.random() < RATES["another character"]
+        if changed:
+            self.take()
+        clip = self.rng.choice(self.actor.scene.clips)
+        pose = self.actor.poses(clip.name, np.array([self.rng.uniform(clip.start, clip.end)]))
+        return "another character" * changed, bool(np.isfinite(self.onnx(pose)).all())
+
+
+class ViewerLoop:
+    """A window in the hands of somebody impatient."""
+
+    def __init__(self, viewer: Any, files: list[tuple[Path, Path]], seed: int = 0) -> None:
+        self.rng = random.Random(seed)
+        self.viewer, self.files = viewer, files
+
+    def __call__(self) -> tuple[str, bool]:
+        viewer, rng = self.viewer, self.rng
+        changed = [name for name, rate in RATES.items() if rng.random() < rate]
+        for name in changed:
+            getattr(self, name.replace(" ", "_"))()
+        view = viewer.view
+        clip = viewer.show.actor.scene.clip(view.clip)
+        view.playing, view.time = False, rng.uniform(clip.start, clip.end)
+        view.azimuth, view.elevation = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(-1.5, 1.5)
+        view.distance, view.light_turn = rng.uniform(0.1, 3.0), rng.uniform(0.0, 360.0)
+        made = bool(viewer.show.waiting)
+        viewer.step(1.0 / 60.0)
+        assert viewer.message == "" or " on " in viewer.message, viewer.message
+        if not changed and (made or viewer.show.waiting):
+            changed = ["what is made in the background"]
+        return " and ".join(changed), bool(np.isfinite(viewer.show.screen.linear()).all())
+
+    def light(self) -> None:
+        self.viewer.change("light", self.rng.choice(list(LIGHTS)))
+
+    def material(self) -> None:
+        lobes = bool(self.viewer.show.actor.model.lobes)
+        known = ["lobe:exponent=20,transmitted=0.2"] if lobes else []
+        self.viewer.change("brdf", self.rng.choice([*MATERIALS, *BRDFS, *known]))
+
+    def mode(self) -> None:
+        self.viewer.view.left, self.viewer.view.right = self.rng.choices(MODES, k=2)
+
+    def split(self) -> None:
+        self.viewer.view.split = self.rng.choice([1.0, self.rng.random()])
+
+    def crowd(self) -> None:
+        self.viewer.view.copies = self.rng.randint(1, 3)
+
+    def blend(self) -> None:
+        clip = self.rng.choice(self.viewer.show.actor.scene.clips)
+        self.viewer.view.blend_clip, self.viewer.view.blend_time = clip.name, clip.start
+        self.viewer.view.blend = self.rng.choice([0.0, self.rng.random()])
+
+    def vertex(self) -> None:
+        count = len(self.viewer.show.actor.scene.rest().positions[0])
+        vertex = self.rng.choice([None, self.rng.randrange(count)])
+        self.viewer.following = False
+        self.viewer.view.vertex = None if vertex is None else (vertex, False)
+
+    def bands(self) -> None:
+        self.viewer.view.order = self.rng.randrange(self.viewer.show.actor.model.order)
+
+    def help(self) -> None:
+        self.viewer.helping = not self.viewer.helping
+
+    def resize(self) -> None:
+        size = self.rng.randint(1, 160), self.rng.randint(1, 120)
+        self.viewer.window._window.set_size(*size)
+        self.viewer.window._window.dispatch_events()
+
+    def another_character(self) -> None:
+        if self.viewer.view.brdf.startswith("lobe"):
+            self.viewer.change("brdf", "matte")
+        self.viewer.dropped(0, 0, list(map(str, self.rng.choice(self.files))))
+
+
+@contextmanager
+def window(files: list[tuple[Path, Path]], folder: Path) -> Iterator[Any]:
+    """The viewer of the first character, small."""
+    options = ViewOptions(*files[0], size=(96, 72), out=folder, rays=8)
+    viewer = opened_viewer(options, 1, lambda _: None)
+    try:
+        yield viewer
+    finally:
+        viewer.close()
+
+
+def main() -> None:
+    given = [int(word) for word in sys.argv[1:] if word.isdigit()]
+    frames = given[0] if given else FRAMES
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        files = characters(folder)
+        soaks = {"ONNX loop": soaked(frames, OnnxLoop(files))}
+        print(*soaks["ONNX loop"].row("ONNX loop"))
+        server, os.environ["DISPLAY"] = started_screen("640x480")
+        try:
+            with window(files, folder) as viewer:
+                soaks["viewer"] = soaked(frames, ViewerLoop(viewer, files))
+        finally:
+            server.terminate()
+    rows = [found.row(name) for name, found in soaks.items()]
+    publish("soak", COLUMNS, rows, page=PAGE)
+    wrong = any(s.bad or s.spread() > 0.02 or s.late()[0][""] for s in soaks.values())
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()
