@@ -20,7 +20,7 @@ from runtime.cast import Cast
 from runtime.gl import create_context
 from runtime.show import Show
 from runtime.view import View
-from tests.hard_cases.measured import above
+from tests.hard_cases.measured import above, says
 from tests.prtnet.test_exr import write
 from tests.runtime.test_posed_surface import modelled
 from tests.virtual_screen import started_screen
@@ -51,15 +51,14 @@ def test_without_a_display_it_is_one_line(files, display):
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("prtnet: error: prtnet view: cannot open a window with OpenGL (")
-    assert "prtnet render" in done.stderr
+    says(done.stderr, "prtnet render")
 
 
 @pytest.mark.gl
 def test_opengl_that_is_too_old_is_one_line(files, display):
     done = prtnet("view", *files, DISPLAY=display, MESA_GL_VERSION_OVERRIDE="2.1")
     assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "cannot open a window with OpenGL" in done.stderr
+    says(done.stderr, "cannot open a window with OpenGL")
 
 
 def test_without_opengl_pictures_are_drawn_by_numpy_and_it_is_said(files, tmp_path):
@@ -77,7 +76,7 @@ def test_without_opengl_pictures_are_drawn_by_numpy_and_it_is_said(files, tmp_pa
         assert picture.size == (64, 48)
     done = prtnet("render", *files, *words, "--renderer", "gl", **nowhere)
     assert done.returncode == 2
-    assert "use --renderer cpu" in done.stderr
+    says(done.stderr, "use --renderer cpu")
 
 
 @pytest.mark.parametrize("command", ["render", "view"])
@@ -87,8 +86,7 @@ def test_a_model_for_another_mesh_is_one_line(files, tmp_path, capsys, command):
     out = ("--out", str(tmp_path / "frame.png")) if command == "render" else ()
     assert run([command, files[0], str(tmp_path / "other.glb"), *out]) == 2
     errors = capsys.readouterr().err
-    assert errors.count("\n") == 1
-    assert "other.glb: is not the mesh this model was fitted to (" in errors
+    says(errors, "other.glb: is not the mesh this model was fitted to (")
     assert [path.name for path in tmp_path.iterdir()] == ["other.glb"]
 
 
@@ -113,8 +111,7 @@ def test_lights_of_no_numbers_are_one_line(files, tmp_path, capsys, bad, name):
     for command, out in (("render", ("--out", str(tmp_path / "frame.png"))), ("view", ())):
         assert run([command, *files, "--light", str(tmp_path / "bad.exr"), *out]) == 2
         errors = capsys.readouterr().err
-        assert errors.count("\n") == 1
-        assert f"bad.exr: holds {name} in row 0, column 0" in errors
+        says(errors, f"bad.exr: holds {name} in row 0, column 0")
     assert [path.name for path in tmp_path.iterdir()] == ["bad.exr"]
 
 
