@@ -19,10 +19,11 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -142,11 +143,18 @@ def characters(folder: Path) -> list[tuple[Path, Path]]:
 
 
 class OnnxLoop:
-    """The loop of an engine: a pose in, visibility out; now and then another model."""
+    """The loop of an engine: a pose in, visibility out; now and then another model.
 
-    def __init__(self, files: list[tuple[Path, Path]], seed: int = 0) -> None:
-        self.rng = random.Random(seed)
-        self.files = files
+    Args:
+        files: models and their scenes.
+        rates: of changes, where others are wanted than ``RATES``.
+    """
+
+    def __init__(
+        self, files: list[tuple[Path, Path]], rates: Mapping[str, float] = MappingProxyType({})
+    ) -> None:
+        self.rng = random.Random(0)
+        self.files, self.rates = files, {**RATES, **rates}
         self.take()
 
     def take(self) -> None:
@@ -156,7 +164,7 @@ class OnnxLoop:
         self.onnx = OnnxModel(build_onnx(self.actor.model).SerializeToString(), threads=1)
 
     def __call__(self) -> tuple[str, bool]:
-        changed = self.rng.random() < RATES["another character"]
+        changed = self.rng.random() < self.rates["another character"]
         if changed:
             self.take()
         clip = self.rng.choice(self.actor.scene.clips)
@@ -165,15 +173,26 @@ class OnnxLoop:
 
 
 class ViewerLoop:
-    """A window in the hands of somebody impatient."""
+    """A window in the hands of somebody impatient.
 
-    def __init__(self, viewer: Any, files: list[tuple[Path, Path]], seed: int = 0) -> None:
-        self.rng = random.Random(seed)
-        self.viewer, self.files = viewer, files
+    Args:
+        viewer: a ``runtime.viewer.Viewer``.
+        files: as for ``OnnxLoop``.
+        rates: likewise.
+    """
+
+    def __init__(
+        self,
+        viewer: Any,
+        files: list[tuple[Path, Path]],
+        rates: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
+        self.rng = random.Random(0)
+        self.viewer, self.files, self.rates = viewer, files, {**RATES, **rates}
 
     def __call__(self) -> tuple[str, bool]:
         viewer, rng = self.viewer, self.rng
-        changed = [name for name, rate in RATES.items() if rng.random() < rate]
+        changed = [name for name, rate in self.rates.items() if rng.random() < rate]
         for name in changed:
             getattr(self, name.replace(" ", "_"))()
         view = viewer.view
