@@ -44,7 +44,7 @@ def test_always_lit_or_always_dark(lobes, level):
     model = fitted(data, lobes=lobes)
     assert model.latents.sum() == 0
     # Dark: one lobe about the normal holds it all, but for what the ridge takes off.
-    close(model(data.read("pose")), level, atol=0.02)
+    close(model(data.read("pose")), np.broadcast_to(level, (24, 60, 16)), atol=0.02)
 
 
 @pytest.mark.parametrize("regressor", ["linear", "neural"])
@@ -52,7 +52,7 @@ def test_open_receivers_among_others(regressor):
     data = two_lobes()
     data.read("visibility")[:, ::3] = OPEN
     model = fitted(data, regressor=regressor, latents=8)
-    close(model(data.read("pose"))[:, ::3], OPEN, atol=0.05)
+    close(model(data.read("pose"))[:, ::3], np.broadcast_to(OPEN, (24, 20, 16)), atol=0.05)
 
 
 @pytest.mark.parametrize("regressor", ["linear", "neural"])

@@ -1,4 +1,4 @@
-"""A short soak: the same hundred frames again leave nothing more behind, on the GPU or in Python."""
+"""A short soak: the same frames again leave nothing more behind, on the GPU or in Python."""
 
 from __future__ import annotations
 
