@@ -11,6 +11,9 @@ had the machine.
 
 from __future__ import annotations
 
+import ctypes
+import dataclasses
+import gc
 import itertools
 import math
 import os
@@ -19,12 +22,12 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -52,7 +55,8 @@ PAGE = ROOT / "docs" / "reliability.md"
 FRAMES = 100_000
 LATE = 5.0  # medians
 WARM_UP = 0.1  # of the frames: everything has been shown once
-SAMPLES = 200  # of the memory
+SAMPLES = 100  # of the memory
+SIZE = (96, 72)
 KINDS = ("neural", "prior", "lobes")
 RATES = {
     "light": 0.02, "material": 0.02, "mode": 0.05, "split": 0.05, "crowd": 0.02, "blend": 0.05,
@@ -67,7 +71,8 @@ class Soak:
 
     frames: int
     seconds: float = 0.0
-    memory: list[int] = field(default_factory=list)  # bytes, at equal steps after the warm-up
+    memory: list[int] = field(default_factory=list)  # bytes, at rest, after the warm-up
+    most: list[int] = field(default_factory=lambda: [0, 0])  # bytes, in either half
     bad: int = 0  # frames with a pixel or number that is not finite
 
     def __post_init__(self) -> None:
@@ -91,31 +96,57 @@ class Soak:
         ours, held_up = self.late()
         still = ours.pop("", 0)
         names = ", ".join(f"{what} {count}" for what, count in ours.most_common())
-        megabytes = [f"{count / 1e6:.1f}" for count in (self.memory[0], self.memory[-1])]
+        counts = (self.memory[0], self.memory[-1], *self.most)
+        megabytes = [f"{count / 1e6:.1f}" for count in counts]
         return [
-            name, f"{self.frames:,}", f"{self.seconds / 3600:.2f}", *megabytes,
-            f"{100 * self.spread():.2f} %", self.bad, still, names or "none", held_up,
+            name, f"{self.frames:,}", f"{self.seconds / 3600:.2f}", *megabytes[:2],
+            f"{100 * self.spread():.2f} %", *megabytes[2:], self.bad, still, names or "none",
+            held_up,
         ]  # fmt: skip
 
 
-COLUMNS = ["", "frames", "hours", "MB after warm-up", "at the end", "spread", "not finite",
+COLUMNS = ["", "frames", "hours", "MB after warm-up", "at the end", "spread",
+           "most in the first half", "in the second", "not finite",
            "late, ours", "late, ours, that changed", "late, held up by others"]  # fmt: skip
 
 
-def soaked(frames: int, step: Callable[[], tuple[str, bool]]) -> Soak:
-    """Call ``step`` so often; it says what it changed, and whether all it made is finite."""
+class Loop(Protocol):
+    """What is run."""
+
+    def __call__(self) -> tuple[str, bool]:
+        """A frame: what it changed, and whether everything that it made is finite."""
+        ...
+
+    def rest(self) -> None:
+        """Show what was shown first."""
+        ...
+
+
+def soaked(frames: int, loop: Loop) -> Soak:
+    """So many frames; now and then memory is read, at rest, without what the C library hoards."""
     found, began = Soak(frames), time.perf_counter()
     every = max(1, frames // SAMPLES)
     for number in range(frames):
         wall, busy = time.perf_counter(), time.process_time()
-        changed, sound = step()
+        changed, sound = loop()
         found.wall[number] = time.perf_counter() - wall
         found.busy[number] = time.process_time() - busy
         found.did[number] = sys.intern(changed)
         found.bad += not sound
+        found.most[number >= frames // 2] = max(found.most[number >= frames // 2], resident())
         if number >= WARM_UP * frames and number % every == 0:
-            found.memory.append(resident_bytes() or 0)
+            loop.rest()
+            gc.collect()
+            ctypes.CDLL(None).malloc_trim(0)
+            found.memory.append(resident())
     found.seconds = time.perf_counter() - began
+    return found
+
+
+def resident() -> int:
+    """Bytes of this process in memory."""
+    found = resident_bytes()
+    assert found is not None, "needs /proc"
     return found
 
 
@@ -157,9 +188,9 @@ class OnnxLoop:
         self.files, self.rates = files, {**RATES, **rates}
         self.take()
 
-    def take(self) -> None:
+    def take(self, files: tuple[Path, Path] | None = None) -> None:
         """Another model."""
-        model, scene = self.rng.choice(self.files)
+        model, scene = files or self.rng.choice(self.files)
         self.actor = ModelledScene(VisibilityModel.load(model), read_scene(scene))
         self.onnx = OnnxModel(build_onnx(self.actor.model).SerializeToString(), threads=1)
 
@@ -170,6 +201,9 @@ class OnnxLoop:
         clip = self.rng.choice(self.actor.scene.clips)
         pose = self.actor.poses(clip.name, np.array([self.rng.uniform(clip.start, clip.end)]))
         return "another character" * changed, bool(np.isfinite(self.onnx(pose)).all())
+
+    def rest(self) -> None:
+        self.take(self.files[0])
 
 
 class ViewerLoop:
@@ -189,6 +223,7 @@ class ViewerLoop:
     ) -> None:
         self.rng = random.Random(0)
         self.viewer, self.files, self.rates = viewer, files, {**RATES, **rates}
+        self.first = dataclasses.replace(viewer.view)
 
     def __call__(self) -> tuple[str, bool]:
         viewer, rng = self.viewer, self.rng
@@ -206,6 +241,16 @@ class ViewerLoop:
         if not changed and (made or viewer.show.waiting):
             changed = ["what is made in the background"]
         return " and ".join(changed), bool(np.isfinite(viewer.show.screen.linear()).all())
+
+    def rest(self) -> None:
+        """The first character as it was first shown, in a window of the first size."""
+        viewer = self.viewer
+        viewer.dropped(0, 0, list(map(str, self.files[0])))
+        vars(viewer.view).update(vars(self.first))
+        viewer.helping = False
+        self.resize(SIZE)
+        viewer.step(0.0)
+        viewer.show.settle(viewer.view)
 
     def light(self) -> None:
         self.viewer.change("light", self.rng.choice(list(LIGHTS)))
@@ -241,8 +286,8 @@ class ViewerLoop:
     def help(self) -> None:
         self.viewer.helping = not self.viewer.helping
 
-    def resize(self) -> None:
-        size = self.rng.randint(1, 160), self.rng.randint(1, 120)
+    def resize(self, size: tuple[int, int] | None = None) -> None:
+        size = size or (self.rng.randint(1, 160), self.rng.randint(1, 120))
         self.viewer.window._window.set_size(*size)
         self.viewer.window._window.dispatch_events()
 
@@ -255,7 +300,7 @@ class ViewerLoop:
 @contextmanager
 def window(files: list[tuple[Path, Path]], folder: Path) -> Iterator[Any]:
     """The viewer of the first character, small."""
-    options = ViewOptions(*files[0], size=(96, 72), out=folder, rays=8)
+    options = ViewOptions(*files[0], size=SIZE, out=folder, rays=8)
     viewer = opened_viewer(options, 1, lambda _: None)
     try:
         yield viewer

@@ -72,8 +72,7 @@ def test_a_viewer_keeps_nothing(window, tmp_path, monkeypatch):
         found = soaked(FRAMES, loop)
         assert found.bad == 0
         assert {name for did in found.did for name in did.split(" and ")} >= {*OFTEN, "mode"}
-        viewer.dropped(0, 0, list(map(str, files[0])))
-        viewer.step(0.0)
+        loop.rest()
         held.append((alive.count, objects()))
     assert held[1][0] == held[2][0]
     assert grown(held[1][1], held[2][1]) == {}
@@ -100,7 +99,15 @@ def test_late_frames_are_ours_if_the_process_was_busy():
 
 
 def test_frames_that_are_not_finite_are_counted():
-    results = iter([("", True), ("light", False), ("", True)])
-    found = soaked(3, lambda: next(results))
+    class Three:
+        results = iter([("", True), ("light", False), ("", True)])
+
+        def __call__(self):
+            return next(self.results)
+
+        def rest(self):
+            pass
+
+    found = soaked(3, Three())
     assert (found.bad, found.did) == (1, ["", "light", ""])
     assert np.isfinite(found.wall).all()
