@@ -210,7 +210,7 @@ def train(argv: Sequence[str]) -> None:
 
             with TensorBoard(options.log_dir, monitor) as watched:
                 model = fit(watched)
-    model.save(options.out)
+        model.save(options.out)
     results = {"out": options.out, "model_bytes": options.out.stat().st_size, **model.metadata}
     session.finish(results, in_per_cent(summary(results)))
 
@@ -388,7 +388,7 @@ def bake(argv: Sequence[str]) -> None:
     place = elsewhere(options.cluster, options.out, PACKAGES)
     with session.console.progress() as progress, place:
         field = baked(options, threads(options.threads), progress)
-    field.save(options.out)
+        field.save(options.out)
     facts = field.facts()
     for warning in warnings_of(facts):
         session.console.message(warning)
@@ -410,7 +410,7 @@ def bake_all_frequency(argv: Sequence[str]) -> None:
     with session.console.progress() as report, place:
         alone = 1 if options.cluster else options.threads  # the number changes the rounding
         fields = baked_fields(options, threads(alone), report)
-    save_fields(options.out, fields)
+        save_fields(options.out, fields)
     for field in fields:
         columns = (field.metadata["source"], "bytes", "of raw", "squared error")
         session.console.table(columns, stages(field))

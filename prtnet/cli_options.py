@@ -153,9 +153,7 @@ class TrainOptions:
     max_ms: float | None = None  # find the best model that is this fast: milliseconds a pose
     max_mb: float | None = None  # find the best model that is this small: megabytes of model.onnx
     log_dir: Path | None = None  # write TensorBoard scalars and histograms into this folder
-    cluster: str | None = (
-        None  # fit networks on the workers of this Dask scheduler, tcp://HOST:PORT
-    )
+    cluster: str | None = None  # fit networks on workers of this Dask scheduler, tcp://HOST:PORT
     threads: int | None = None  # CPU threads; all cores when not given
 
     def __post_init__(self) -> None:

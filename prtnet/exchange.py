@@ -136,7 +136,7 @@ class Exchange:
         for name in sorted(solid):
             digest.update(solid[name].tobytes())
         given = digest.hexdigest()[:DIGITS]
-        if given not in self.there():
+        if given not in self.there() or not whole(self.folder / given):
             write_arrays(self.folder / given, {}, solid, BLOCK)
         return Given(self.folder / given)
 
@@ -153,7 +153,8 @@ class Exchange:
         result = hashlib.sha256(json.dumps(text, sort_keys=True).encode()).hexdigest()[:DIGITS]
         piece = Piece(work, given, result)
         there = self.there()
-        done = [number for number in range(count) if piece.path(number).name in there]
+        paths = {number: piece.path(number) for number in range(count)}
+        done = [number for number, path in paths.items() if path.name in there and whole(path)]
         left = sorted(set(range(count)) - set(done))
         for numbers in (done, self.tasks.run(piece, left, ahead=core_count())):
             for number in numbers:
@@ -208,7 +209,18 @@ def through(tasks: Tasks, folder: Path, packages: Sequence[str] = ()) -> Iterato
         yield
     finally:
         CURRENT.reset(token)
-    remove(folder)
+    with contextlib.suppress(OSError):  # a file server may hold a name for a while
+        remove(folder)
+
+
+def whole(path: Path) -> bool:
+    """Whether a file can be read: one that cannot, after a loss of power, is deleted."""
+    try:
+        read_arrays(path, BLOCK)
+    except PrtnetError:
+        path.unlink(missing_ok=True)
+        return False
+    return True
 
 
 def elsewhere(

@@ -105,9 +105,11 @@ def on_worker(task: Task, number: int, made: tuple[tuple[str, str], ...]) -> int
     return number
 
 
-@functools.cache
 def quiet_blas() -> None:
-    """Leave the cores to tasks, for good: a worker's threads are its tasks."""
+    """Leave the cores to tasks, for good: a worker's threads are its tasks.
+
+    Before every task: the last may have loaded another BLAS.
+    """
     threadpool_limits(1, user_api="blas")
 
 

@@ -18,6 +18,7 @@ from prtnet.exchange import Given, Result, exchange
 from prtnet.lobe_field import LobeField, halved
 from prtnet.transfer import Patch, Surface, TransferField
 from prtnet.zh import Lobes, LobesApart, apart, exact_lobes
+from prtnet.zh_fit import BLOCK as FUNCTIONS
 from prtnet.zh_fit import fit_lobes
 from prtnet.zh_surface import bilinear, coherent_lobes, with_midpoints
 
@@ -25,7 +26,6 @@ __all__ = ["between", "exact_field", "lobe_field"]
 
 STARTS, GOOD = 4, 0.02  # random starts, and the error that needs none
 BLOCK = 1 << 13  # functions between two reports
-FUNCTIONS = 1024  # that ``fit_lobes`` fits at a time: its blocks are by themselves
 
 
 def lobe_field(

@@ -484,7 +484,7 @@ class VisibilityModel:
             )
             check_shapes(model)
             check_answer(model)
-        except MISFITS as error:
+        except (*MISFITS, MemoryError) as error:
             raise PrtnetError(
                 path, f"is not a whole prtnet model ({error}); train it anew"
             ) from error

@@ -194,7 +194,7 @@ def whole(path: str | Path, header: Mapping[str, Any], version: int, kind: str) 
     try:
         with np.errstate(all="ignore"):  # what overflows is not finite, which is refused
             yield
-    except MISFITS as error:
+    except (*MISFITS, MemoryError) as error:
         what = f"is not a whole prtnet {kind} ({error}); bake it anew"
         raise PrtnetError(path, what) from error
 

@@ -70,6 +70,7 @@ uniform highp sampler2D positions;
 uniform highp sampler2D tangents;
 uniform highp sampler2D normals;
 uniform int rows;  // m again: a loop that compilers do not unroll is compiled much faster
+uniform int vertices;
 uniform highp vec3 eye;
 out vec4 radiance;
 
@@ -77,13 +78,14 @@ $CONCENTRIC
 void main() {
     ivec2 place = ivec2(gl_FragCoord.xy);
     int vertex = place.y * $WIDTH + place.x;
+    radiance = vec4(0.0, 0.0, 0.0, 1.0);
+    if (vertex >= vertices) return;
     vec3 n = normalize(texelFetch(normals, place, 0).rgb);
     vec3 tangent = texelFetch(tangents, place, 0).rgb;
     vec3 t = normalize(tangent - dot(tangent, n) * n);
     vec3 local = normalize(eye - texelFetch(positions, place, 0).rgb) * mat3(t, cross(n, t), n);
     vec2 cell = on_square(normalize(vec3(local.xy, max(local.z, $LOWEST))));
     ivec2 texel = ivec2((vertex % $COLUMNS) * $ROWS, vertex / $COLUMNS);
-    radiance = vec4(0.0, 0.0, 0.0, 1.0);
     for (int row = 0; row < rows; ++row)
         radiance.rgb += texelFetch(sums, texel + ivec2(row, 0), 0).rgb
                       * textureLod(view_factors, vec3(cell, float(row)), 0.0).rgb;

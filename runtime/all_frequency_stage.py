@@ -99,7 +99,7 @@ class AllFrequencyStage(Holding):
         self._texture("radiances", texture(np.zeros((len(field), 4), dtype=np.float32)))
         self._seen = self._keep(context.framebuffer([self._held["radiances"]]))
         self._seeing: Any = self._keep(context.program(*seen_shaders(rows)))
-        self._seeing["rows"] = rows
+        self._seeing["rows"], self._seeing["vertices"] = rows, len(field)
         self._all_seen = self._keep(context.vertex_array(self._seeing, []))
         kept: dict[str, Any] = {"position": surface.positions, "faces": surface.faces}
         for name, array in kept.items():

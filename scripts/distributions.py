@@ -54,10 +54,11 @@ def strangers(files: dict[str, bytes], folders: tuple[str, ...], places: list[Pa
 
 def check_contents(wheel: Path, sdist: Path) -> None:
     """Stop where a distribution lacks a module, or has what does not belong in it."""
-    places = [REPOSITORY, REPOSITORY.parent / "shared", Path.home(), Path(sys.prefix)]
+    here = REPOSITORY, Path.home(), Path(sys.prefix)
+    places = [place for place in here if place != Path(place.anchor)]
     packed = contents(wheel)
     modules = {name for name in packed if ".dist-info/" not in name}
-    here = {
+    known = {
         path.relative_to(REPOSITORY).as_posix()
         for package in PACKAGES
         for path in (REPOSITORY / package).rglob("*")
@@ -65,7 +66,7 @@ def check_contents(wheel: Path, sdist: Path) -> None:
     }
     about = {name: data for name, data in packed.items() if name not in modules}
     code = {name: packed[name] for name in modules}
-    wrong = [*sorted(modules ^ here), *strangers(code, PACKAGES, places)]
+    wrong = [*sorted(modules ^ known), *strangers(code, PACKAGES, places)]
     wrong += strangers(contents(sdist), (*PACKAGES, *BESIDE), places)
     if wrong or not any(name.endswith("/licenses/LICENSE") for name in about):
         raise SystemExit(f"dist: lacks a licence, or lacks or should not have {', '.join(wrong)}")

@@ -391,7 +391,7 @@ def fit_in_blocks(
         found[number] = Fit(**tensors, status=header["status"])
         if on_iteration is not None:
             losses = torch.cat([fit.loss for fit in found.values()])
-            on_iteration(limit * len(found) // blocks - 1, losses)
+            on_iteration(max(1, limit * len(found) // blocks) - 1, losses)
     fits = [found[number] for number in range(blocks)]
     tensors = {name: torch.cat([getattr(fit, name) for fit in fits]) for name in TENSORS}
     return Fit(**tensors, status=[text for fit in fits for text in fit.status])
