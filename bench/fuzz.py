@@ -18,7 +18,6 @@ import contextlib
 import json
 import mmap
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -91,7 +90,7 @@ def worked(name: str, seed: int, first: int, end: int, folder: Path) -> None:
     for stream in (1, 2):
         os.dup2(said, stream)
     stage.warmed(reader)
-    resident = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    resident = memory("VmRSS")
     with bounded(ROOM):
         for case in range(first, end):
             at[:] = case.to_bytes(8, "little")
@@ -109,8 +108,14 @@ def worked(name: str, seed: int, first: int, end: int, folder: Path) -> None:
                 stage.place.copy(kept(name, case))
             signal.setitimer(signal.ITIMER_PROF, 0.0)
             tally.slowest = max(tally.slowest, time.process_time() - start)
-    tally.peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - resident
+    tally.peak = memory("VmHWM") - resident
     (folder / "told").write_text(json.dumps(vars(tally)))
+
+
+def memory(kind: str) -> int:
+    """Bytes of this process: ``VmRSS``, what it has now, or ``VmHWM``, the most it had."""
+    words = Path("/proc/self/status").read_text().split()
+    return int(words[words.index(f"{kind}:") + 1]) * 1024
 
 
 def kept(name: str, case: int) -> Path:

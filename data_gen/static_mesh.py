@@ -6,6 +6,7 @@ Triangles without an area and vertices in no other triangle are dropped: what is
 from __future__ import annotations
 
 import hashlib
+import io
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -70,8 +71,9 @@ def loaded(path: Path) -> tuple[FloatArray, IntArray, FloatArray]:
         raise PrtnetError(path, "does not exist or is no file; check the name")
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs tracebacks
     try:
-        with open(path, "rb") as file:  # of a stream no materials and pictures are looked for
-            mesh = trimesh.load_mesh(file, path.suffix[1:].lower(), process=False)
+        # Of bytes that have no name no materials and pictures are looked for.
+        data = io.BytesIO(path.read_bytes())
+        mesh = trimesh.load_mesh(data, path.suffix[1:].lower(), process=False)
         positions = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
         normals = ply_normals(mesh.metadata)

@@ -437,6 +437,7 @@ class VisibilityModel:
         write_arrays(path, header, flattened(arrays), MODEL)
 
     @classmethod
+    @np.errstate(all="ignore")  # what overflows is not finite, which is refused
     def load(cls, path: str | Path) -> VisibilityModel:
         """Read a model file.
 

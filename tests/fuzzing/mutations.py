@@ -84,11 +84,11 @@ def mutate_json(document: dict[str, Any], rng: random.Random) -> None:
         case 3 if isinstance(container, list):
             container.append(copy.deepcopy(container[key]))
         case 4 if isinstance(container, dict) and rng.random() < 0.3:
-            container[TWICE + key] = rng.choice(VALUES)
+            container[TWICE + key] = copy.deepcopy(rng.choice(VALUES))
         case 5 if rng.random() < 0.1:
             container[key] = DEEP
         case _:
-            container[key] = rng.choice(VALUES)
+            container[key] = copy.deepcopy(rng.choice(VALUES))
 
 
 def json_text(document: Any, **options: Any) -> str:
@@ -119,7 +119,7 @@ def retold(text: bytes, rng: random.Random) -> bytes:
             case 2:
                 lines[place], lines[other] = lines[other], lines[place]
             case 3:
-                lines[place] = lines[place] * rng.choice([2, 200])
+                lines[place] = lines[place] * (2 if len(text) > 10_000 else rng.choice([2, 200]))
             case _:
                 spans = [found.span() for found in NUMBER.finditer(lines[place])]
                 if spans:

@@ -181,7 +181,7 @@ def meshes(folder: Path) -> list[Files]:
     mesh.export(folder / "text.stl", file_type="stl_ascii")
     mesh.export(folder / "normals.ply", vertex_normal=True)
     made = (folder / "mesh.obj").read_text()
-    links = "mtllib ../outside.mtl\nmtllib mesh.mtl\nusemtl a\n"
+    links = "mtllib mesh.mtl\nmtllib ../outside.mtl\nusemtl a\n"
     (folder / "material.obj").write_text(links + made)
     words = (folder / "text.ply").read_text()
     (folder / "texture.ply").write_text(
