@@ -17,8 +17,7 @@ from typing import Any
 import google_crc32c
 import numpy as np
 import safetensors.numpy
-import zarr
-from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
+from numcodecs import Blosc
 
 from prtnet.dataset import HEADERS, MADE_WITH, SELF
 from tests.fuzzing.files import Files, Link
@@ -27,6 +26,7 @@ from tests.fuzzing.mutations import NUMBERS, altered_json, damaged, odd_array
 __all__ = ["npz", "safetensors_file", "zarr_group"]
 
 BOMB = 8  # million vertices
+BLOSC = Blosc(cname="lz4", clevel=1, shuffle=Blosc.SHUFFLE)
 
 
 def safetensors_file(files: Files, rng: random.Random) -> Files:
@@ -201,7 +201,7 @@ def zarr_group(files: Files, rng: random.Random) -> Files:
                 size = rng.choice([0, 1, 2**20, 2**31 - 1, 2**32 - 1])
                 at = rng.choice([4, 8, 12])
                 data = data[:at] + struct.pack("<I", size) + data[at + 4 :]
-            found[name] = data + struct.pack("<I", google_crc32c.value(data))
+            found[name] = checksummed(data)
         case 6:  # headers that the group's own header holds as well
             texts = [
                 f'"{name.split("/")[1]}": {altered_json(bytes_of(files[name]).decode(), rng)}'
@@ -229,22 +229,27 @@ def bytes_of(content: object) -> bytes:
 
 
 def rewritten(files: Files, root: str, name: str, rng: random.Random) -> Files:
-    """The files of an array of a group after odd things happened to it."""
-    folder = Path(root).parent
-    own = {key: bytes_of(value) for key, value in files.items() if f"/{name}/" in key}
-    store = zarr.storage.MemoryStore({
-        key.removeprefix(f"{folder}/{name}/"): zarr.core.buffer.cpu.Buffer.from_bytes(value)
-        for key, value in own.items()
-    })  # fmt: skip
-    array = np.asarray(zarr.open_array(store, mode="r")[...])
-    odd = odd_array(array, rng)
-    made = zarr.storage.MemoryStore()
-    zarr.create_array(
-        made, shape=odd.shape, dtype=odd.dtype, config={"write_empty_chunks": True},
-        chunks=tuple(max(size, 1) for size in (4, *odd.shape[1:])[: odd.ndim]),
-        compressors=(BloscCodec(cname="lz4", shuffle=BloscShuffle.shuffle), Crc32cCodec()),
-    )[...] = odd  # fmt: skip
-    return {f"{folder}/{name}/{key}": value.to_bytes() for key, value in made._store_dict.items()}
+    """The files of an array of a group, of its first chunk, after odd things happened to it."""
+    folder = f"{Path(root).parent}/{name}"
+    header = json.loads(bytes_of(files[f"{folder}/zarr.json"]))
+    shape = header["chunk_grid"]["configuration"]["chunk_shape"]
+    first = f"{folder}/c" + "/0" * len(shape)
+    data = BLOSC.decode(bytes_of(files[first])[:-4])
+    odd = odd_array(np.frombuffer(data, header["data_type"]).reshape(shape), rng)
+    data = BLOSC.encode(np.ascontiguousarray(odd).reshape(-1)) if odd.size else b""
+    header["shape"] = list(odd.shape)
+    header["chunk_grid"]["configuration"]["chunk_shape"] = [max(size, 1) for size in odd.shape]
+    header["data_type"] = odd.dtype.name
+    header["fill_value"] = False if odd.dtype == bool else 0
+    found: Files = {f"{folder}/zarr.json": json.dumps(header).encode()}
+    if odd.size:
+        found[f"{folder}/c" + "/0" * odd.ndim] = checksummed(data)
+    return found
+
+
+def checksummed(data: bytes) -> bytes:
+    """With its CRC-32C behind it."""
+    return data + struct.pack("<I", google_crc32c.value(data))
 
 
 def signed(files: Files, root: str, old: bool) -> bytes:
