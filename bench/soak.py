@@ -56,6 +56,7 @@ FRAMES = 100_000
 LATE = 5.0  # medians
 WARM_UP = 0.1  # of the frames: everything has been shown once
 SAMPLES = 100  # of the memory
+SELDOM = 25  # frames between two at least: garbage is collected, which takes its time
 SIZE = (96, 72)
 KINDS = ("neural", "prior", "lobes")
 RATES = {
@@ -125,7 +126,7 @@ class Loop(Protocol):
 def soaked(frames: int, loop: Loop) -> Soak:
     """So many frames; now and then memory is read, at rest, without what the C library hoards."""
     found, began = Soak(frames), time.perf_counter()
-    every = max(1, frames // SAMPLES)
+    every = max(SELDOM, frames // SAMPLES)
     for number in range(frames):
         wall, busy = time.perf_counter(), time.process_time()
         changed, sound = loop()
