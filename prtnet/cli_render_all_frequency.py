@@ -121,7 +121,9 @@ def make_all_frequency_pictures(
             if number == 0 or turns:
                 turn = options.light_turn + (math.degrees(frame.turn) if turns else 0.0)
                 shining = segment_coefficients(light.at(about_up(turn)))
-                drawer.light(truncated(shining, options.keep or shining[..., 0].size, weights))
+                if options.keep is not None:
+                    shining = truncated(shining, options.keep, weights)
+                drawer.light(shining)
             seen = camera if turns else camera.around(frame.turn)
             fine = drawer.draw(seen.matrix(aspect), np.asarray(seen.eye))
             linear = averaged(fine, options.size)
