@@ -33,7 +33,7 @@ from bench.tables import ROOT, publish
 from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm
 from prtnet.cli import run
-from prtnet.dataset import MARKERS
+from prtnet.dataset_writer import MARKERS
 
 DEFAULTS = (25, 0)  # faults of each kind in each command, seed
 PAGE = ROOT / "docs" / "reliability.md"
@@ -41,7 +41,8 @@ STEPS = ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "o
 NEEDS_ROOM = ("open", "os.mkdir")
 MAKES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 ROOM = 256 << 20  # bytes of a disk that is large enough
-PRELOAD = ("prtnet.cli_bake", "prtnet.lobe_fit", "data_gen.generate", "data_gen.bake",
+PRELOAD = ("prtnet.cli_bake", "prtnet.cli_bake_all_frequency", "training.all_frequency", "upath",
+           "training.train", "prtnet.lobe_fit", "data_gen.generate", "data_gen.bake",
            "prtnet.report", "training.sweep", "training.export", "runtime.report_page",
            "runtime.onnx_model")  # fmt: skip
 
@@ -55,16 +56,20 @@ class Job:
         out: name of the output.
         older: words that stand there instead in a run that makes an older output.
         exact: whether the same run writes the same bytes; otherwise a page is whole at its end.
+        label: what tells it from another job of the same command.
+        header: the file without which what is there is no output yet.
     """
 
     words: str
     out: str
     older: tuple[str, str]
     exact: bool = True
+    label: str = ""
+    header: str = ""
 
     @property
     def name(self) -> str:
-        return self.words.split()[0]
+        return self.words.split()[0] + self.label
 
     def argv(self, inputs: Path, out: Path, older: bool = False) -> list[str]:
         words = self.words.replace(*self.older) if older else self.words
@@ -78,6 +83,15 @@ JOBS = (
         ("linear", "constant")),
     Job("bake bumps --out {out} --size 8x8 --rays 32 --order 3 --lobes 1 --threads 1",
         "bumps.safetensors", ("--rays 32", "--rays 16")),
+    Job("train {inputs}/arm.zarr --out {out} --preset small --clusters 3 --iterations 4 "
+        "--networks 1 --alpha 0.01 --threads 1", "neural.safetensors",
+        ("--iterations 4", "--iterations 3"), label=" (neural)"),
+    Job("bake-all-frequency {inputs}/arm.glb --out {out} --texels 8 --points-per-cluster 40 "
+        "--terms 3 --rows 2 --brdf ggx:roughness=0.3 --threads 1", "arm-light.safetensors",
+        ("--terms 3", "--terms 2")),
+    Job("generate {inputs}/arm.glb --out file://{out} --count 9 --rays 32 --order 3 --block 2 "
+        "--threads 2", "store.zarr", ("--rays 32", "--rays 16"),
+        label=" (to a store)", header="zarr.json"),
     Job("export {inputs}/arm.safetensors --out {out}", "export",
         ("--out {out}", "--out {out} --storage int8")),
     Job("report {inputs}/arm.zarr --out {out} --quick --renderer cpu --threads 1", "arm.html",
@@ -242,6 +256,8 @@ class Bench:
             if hurt.status not in (-9, 0, 2):
                 return f"ended with status {hurt.status}: {complaint[-300:]}"
             found = contents(out)
+            if job.header not in {*found, ""}:
+                found = {}
             if found and found != before and not self.is_whole(job, out, marked=True):
                 return f"not whole under its final name after {hurt}"
             resize(ROOM)

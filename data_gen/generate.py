@@ -25,11 +25,13 @@ from data_gen.readers import read_scene
 from data_gen.visibility import PoseTracer, TracedPose
 from prtnet.arrays import BoolArray, FloatArray
 from prtnet.cores import core_count
-from prtnet.dataset import Block, DatasetWriter
+from prtnet.dataset import Block
 from prtnet.dataset_repair import DatasetRepair
+from prtnet.dataset_writer import DatasetWriter
 from prtnet.errors import PrtnetError
 from prtnet.executor import Task, executor
 from prtnet.frames import FrameField, rest_tangents
+from prtnet.places import place
 from prtnet.provenance import made_with
 from prtnet.scene import PointCacheScene, Receivers, Scene, SkinnedScene
 
@@ -148,7 +150,7 @@ def generate(
     if cluster is None or source is None:
         task: Task = TraceBlock(plan, writer, tracer_of(scene, receivers, tangents, config))
     else:
-        task = TraceElsewhere(source.resolve(), scene.sha256, config, Path(out).resolve())
+        task = TraceElsewhere(source.resolve(), scene.sha256, config, place(out).resolve())
     # BLAS would start threads of its own in every worker.
     with threadpool_limits(1, user_api="blas"):
         ahead = 1 + -(-config.threads // config.block)

@@ -23,6 +23,7 @@ __all__ = [
     "LOBES",
     "MODEL",
     "TRANSFER",
+    "array_bytes",
     "header_key",
     "kind_named",
     "read_arrays",
@@ -54,10 +55,16 @@ def write_arrays(
     Raises:
         PrtnetError: the file cannot be written.
     """
-    solid = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    content = array_bytes(header, arrays, key)
     with writing(path) as partial:
         # ``save_file`` would make a file that nobody else may read.
-        partial.write_bytes(safetensors.numpy.save(solid, {key: json.dumps(untimed(header))}))
+        partial.write_bytes(content)
+
+
+def array_bytes(header: Mapping[str, Any], arrays: Mapping[str, Any], key: str) -> bytes:
+    """The content of such a file."""
+    solid = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    return safetensors.numpy.save(solid, {key: json.dumps(untimed(header))})
 
 
 def untimed(header: Mapping[str, Any]) -> dict[str, Any]:

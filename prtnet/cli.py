@@ -198,7 +198,7 @@ def train(argv: Sequence[str]) -> None:
     from training.train import PACKAGES
 
     torch.set_num_threads(threads(options.threads))
-    place = elsewhere(options.cluster, options.out, PACKAGES)
+    place = elsewhere(options.cluster, options.out, PACKAGES, options.dataset)
     with session.console.progress() as report, place:
         monitor = StageMonitor(report)
         dataset = Dataset.open(options.dataset)
@@ -227,13 +227,14 @@ def evaluate(argv: Sequence[str]) -> None:
     from prtnet.cli_evaluate import dataset_truth, scene_truth, summary
     from prtnet.evaluation import evaluate as measure
     from prtnet.model import VisibilityModel
+    from prtnet.places import is_folder
     from runtime.onnx_model import OnnxModel
     from training.onnx_export import build_onnx
 
     model = VisibilityModel.load(options.model)
     predict = OnnxModel(build_onnx(model).SerializeToString(), options.threads)
     with session.console.progress() as report:
-        if options.data.is_dir():
+        if is_folder(options.data):
             truth = dataset_truth(options, model)
         else:
             dumped = functools.partial(report, "dumped poses")

@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import io
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
@@ -19,6 +20,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from prtnet.errors import PrtnetError
+from prtnet.places import failures, is_remote
 
 __all__ = [
     "check_output",
@@ -184,8 +186,14 @@ def input_file(path: Path, folder: bool = False) -> Path:
     Raises:
         PrtnetError: there is nothing of that name, or it is a folder.
     """
-    if not path.exists():
+    try:
+        there = path.exists()
+    except failures(path) as error:
+        raise PrtnetError(path, f"cannot be reached ({error}); check the address") from error
+    if not there:
         raise PrtnetError(path, "does not exist; check the name")
+    if is_remote(path):
+        return path
     if path.is_dir() and not folder:
         raise PrtnetError(path, "is a folder where a file is wanted; name the file in it")
     if not os.access(path, os.R_OK):
@@ -205,8 +213,8 @@ def check_output(path: Path | None, *inputs: Path, replaces: str | None = None) 
     Raises:
         PrtnetError: it cannot be written, or something else stands there.
     """
-    if path is None:
-        return
+    if path is None or is_remote(path):
+        return  # what a store holds is looked at where it is written
     for other in inputs:
         inside = is_dataset(other) and other.resolve() in path.resolve().parents
         if inside or path.resolve() == other.resolve():
@@ -271,6 +279,8 @@ def pictures_folder(path: Path) -> None:
 def check_writable(path: Path) -> None:
     """Refuse a file or folder that the operating system will not let us write."""
     parent = path.absolute().parent
+    if re.match(r"\w{2,}:/", str(path)) and not parent.exists():
+        raise PrtnetError(path, "is a URL; only datasets may be in a store, give a file's name")
     if not parent.is_dir():
         raise PrtnetError(path, f"cannot be written (there is no folder {parent}); make it first")
     if not os.access(parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from prtnet.array_file import ALL_FREQUENCY, LOBES, TRANSFER, header_key
+from prtnet.places import is_folder, is_remote
 
 __all__ = ["described"]
 
@@ -19,9 +20,9 @@ def described(path: Path) -> dict[str, Any]:
     Raises:
         PrtnetError: it is none, or damaged.
     """
-    if path.suffix == ".safetensors":
+    if path.suffix == ".safetensors" and not is_remote(path):
         return arrays_described(path)
-    if path.is_dir():
+    if is_folder(path):
         from prtnet.dataset import Dataset
 
         dataset = Dataset.open(path)

@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from tyro.conf import Positional
+from tyro.constructors import PrimitiveConstructorSpec
 
 from prtnet.errors import PrtnetError
 from prtnet.limits import (
@@ -23,6 +24,7 @@ from prtnet.limits import (
     check_side,
     check_within,
 )
+from prtnet.places import place
 from prtnet.storage import Storage
 
 __all__ = [
@@ -45,6 +47,17 @@ __all__ = [
 ]
 
 
+Place = Annotated[
+    Path,
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="PATH|URL",
+        instance_from_str=lambda words: place(words[0]),
+        is_instance=lambda value: hasattr(value, "read_bytes"),
+        str_from_instance=lambda value: [str(value)],
+    ),
+]
+"""A dataset may be in a store."""
 Look = Literal["prediction", "truth", "visibility", "open", "ambient", "error"]
 VIEW_BOUNDS = {
     "lobes": (0, MOST_LIGHT_LOBES), "factors": (1, MOST_FACTORS), "order": (1, math.inf),
@@ -129,7 +142,7 @@ class Common:
 class InfoOptions:
     """Options of ``prtnet info``."""
 
-    file: Positional[Path]  # scene, dataset, model or field
+    file: Positional[Place]  # scene, dataset, model or field
 
 
 @dataclass(frozen=True)
@@ -137,7 +150,7 @@ class GenerateFiles:
     """Files of ``prtnet generate``."""
 
     scene: Positional[Path]  # animated scene: .glb, .gltf, or a point cache .npz
-    out: Path  # dataset to write, a .zarr folder
+    out: Place  # dataset to write, a .zarr folder
     repair: bool = False  # trace again what is damaged in --out, made by this command line before
     cluster: str | None = None  # trace on the workers of this Dask scheduler, tcp://HOST:PORT
 
@@ -146,7 +159,7 @@ class GenerateFiles:
 class TrainOptions:
     """Options of ``prtnet train`` apart from those of the fit."""
 
-    dataset: Positional[Path]  # from prtnet generate
+    dataset: Positional[Place]  # from prtnet generate
     out: Path  # model to write, a .safetensors file
     preset: str = "default"  # where options start: default, small, fast, large, best, tiny, paper
     max_error: str | None = None  # find the smallest model expected to err less: 5% or 0.05
@@ -166,7 +179,7 @@ class EvaluateOptions:
     """Options of ``prtnet evaluate``."""
 
     model: Positional[Path]  # from prtnet train
-    data: Positional[Path]  # a dataset, or a scene to ray-trace now
+    data: Positional[Place]  # a dataset, or a scene to ray-trace now
     clips: tuple[str, ...] = ()  # clips or parts CLIP@START:END; all when not given
     fps: float = 5.0  # poses a second of a scene's clips
     rays: int = 512  # rays per receiver of a scene's truth
@@ -272,7 +285,7 @@ class ViewOptions:
 class ReportOptions:
     """Options of ``prtnet report``."""
 
-    dataset: Positional[Path]  # from prtnet generate
+    dataset: Positional[Place]  # from prtnet generate
     out: Path  # page to write, .html
     quick: bool = False  # the smallest of every family that fits in seconds
     light: str = "studio"  # of the pictures: a .hdr or .exr file, or the name of a preset

@@ -1,39 +1,33 @@
-"""Datasets of visibility over poses: a Zarr v3 group, read and written by blocks of poses.
+"""Datasets of visibility over poses: a Zarr v3 group, a chunk of whose arrays is a block of poses.
 
-The arrays and attributes are listed in docs/formats.md. A chunk is a block of poses, so a block is
-written without touching another, and a stopped run goes on where it was: the group grows in a
-hidden folder beside its final name, each whole block leaves an empty marker file there, and the
-folder is renamed when all blocks are whole. Chunks end in their CRC-32C; the group's attributes
-have a SHA-256 of themselves and of every array's header.
+One is a folder, on this machine or in a store that has a URL (:mod:`prtnet.places`). The arrays and
+attributes are listed in docs/formats.md. Chunks end in their CRC-32C; the group's attributes have a
+SHA-256 of themselves and of every array's header.
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zarr
-from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.dataset_checks import check_attributes, check_fit, check_folder, check_stored
 from prtnet.errors import MISFITS, PrtnetError
-from prtnet.files import finish, remove
+from prtnet.places import children, failures, place, store
 
 __all__ = [
     "FORMAT_VERSION",
-    "MARKERS",
     "SAMPLED",
     "Block",
     "Dataset",
-    "DatasetWriter",
     "Rows",
     "evenly",
     "sampled_clip",
@@ -41,12 +35,8 @@ __all__ = [
 
 FORMAT_VERSION = 1
 SAMPLED = "sampled"  # the name of the clip that sampled poses belong to
-# Chunks of zeros are files too: one that is missing is then always a damaged copy. Of arrays, since
-# what is set for all of Zarr is set for all threads.
-EVERY_CHUNK: Any = {"write_empty_chunks": True}
 # What Zarr and Blosc make of damage: sizes below zero, or more than there is memory, among it.
 UNREADABLE = (OSError, RuntimeError, SystemError, MemoryError, *MISFITS)
-MARKERS = ".whole-blocks"
 MADE_WITH = "made_with"  # attribute: versions of what made it
 HEADERS = "headers_sha256"  # attribute: of every array's zarr.json, and of the other attributes
 SELF = "attributes"  # the name of those among HEADERS
@@ -94,14 +84,15 @@ class Rows:
             if isinstance(index, (int, slice)):
                 return np.asarray(self._array[index])
             return np.asarray(self._array.oindex[np.arange(len(self))[index]])
-        except UNREADABLE as error:
+        except failures(self._path, UNREADABLE) as error:
             raise PrtnetError(self._path, self.complaint(index)) from error
 
     def complaint(self, index: int | slice | IntArray) -> str:
         """Which blocks are damaged among those that hold these poses, and what to do about it."""
         size = self._array.chunks[0]
         blocks = np.unique(np.atleast_1d(np.arange(len(self))[index]) // size)
-        bad = [block for block in blocks.tolist() if not readable(self._array, block)]
+        lost = failures(self._path, UNREADABLE)
+        bad = [block for block in blocks.tolist() if not readable(self._array, block, lost)]
         where = f" in block {', '.join(map(str, bad[:8]))}{', ...' * (len(bad) > 8)}"
         if self._array.basename not in POSE_ARRAYS or not bad:
             where = ""
@@ -111,19 +102,25 @@ class Rows:
 MEND = "repeat the prtnet generate that made it with --repair"
 
 
-def readable(array: zarr.Array[Any], block: int) -> bool:
-    """Whether the poses of a block can be read, and have the checksum they were written with."""
+def readable(array: zarr.Array[Any], block: int, lost: tuple[type[Exception], ...]) -> bool:
+    """Whether the poses of a block can be read, and have the checksum they were written with.
+
+    Args:
+        array: of a dataset.
+        block: of poses.
+        lost: what reading raises where it is damaged or out of reach.
+    """
     size = array.chunks[0]
     try:
         np.asarray(array[block * size : (block + 1) * size])
-    except UNREADABLE:
+    except lost:
         return False
     return True
 
 
 def header_sums(folder: Path, attributes: Mapping[str, Any]) -> dict[str, str]:
     """SHA-256 of the headers of all arrays in a group's folder, and of its attributes."""
-    names = sorted(path.parent.name for path in folder.glob("*/zarr.json"))
+    names = sorted(path.name for path in children(folder) if header_of(path, "").is_file())
     sums = {
         name: hashlib.sha256(header_of(folder, name).read_bytes()).hexdigest() for name in names
     }
@@ -146,9 +143,9 @@ def opened(path: Path) -> zarr.Group:
     try:
         check_folder(path)
         # Headers of arrays within the group's own have no checksum: they are not looked at.
-        group = zarr.open_group(str(path), mode="r", zarr_format=3, use_consolidated=False)
+        group = zarr.open_group(store(path), mode="r", zarr_format=3, use_consolidated=False)
         attributes: dict[str, Any] = dict(group.attrs)
-    except UNREADABLE as error:
+    except failures(path, UNREADABLE) as error:
         if all(header_of(path, name).is_file() for name in POSE_ARRAYS):
             raise PrtnetError(path, f"its zarr.json is damaged; {MEND}") from error
         raise PrtnetError(path, "is not a dataset; make one with prtnet generate") from error
@@ -179,11 +176,6 @@ def array_of(group: zarr.Group, name: str) -> zarr.Array[Any]:
     if not isinstance(member, zarr.Array):
         raise KeyError(name)
     return member
-
-
-def writable(group: zarr.Group, name: str) -> zarr.Array[Any]:
-    """A member of a group to write to."""
-    return array_of(group, name).with_config(EVERY_CHUNK)
 
 
 class Dataset:
@@ -246,15 +238,21 @@ class Dataset:
         Raises:
             PrtnetError: there is none, it is of another format version, or it is not whole.
         """
-        path = Path(path)
-        if not path.exists():
+        path = place(path)
+        try:
+            there = path.exists()
+        except failures(path) as error:
+            raise PrtnetError(path, f"cannot be reached ({error}); check the address") from error
+        if not there:
             raise PrtnetError(path, "does not exist; make it with prtnet generate")
         group = opened(path)
         try:
             return cls(path, group)
+        except PrtnetError:
+            raise
         except KeyError as error:
             raise PrtnetError(path, f"has no {error}; generate it again") from error
-        except UNREADABLE as error:
+        except failures(path, UNREADABLE) as error:
             raise PrtnetError(path, f"does not fit together ({error}); {MEND}") from error
 
     def rows(self, name: str) -> Rows:
@@ -330,164 +328,3 @@ def sampled_clip(names: Sequence[str]) -> int | None:
 def evenly(rows: IntArray, most: int) -> IntArray:
     """At most so many of some poses, evenly chosen, the first and the last among them."""
     return rows[np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int))]
-
-
-class DatasetWriter:
-    """Writes a dataset block by block; goes on where an equal run was stopped.
-
-    Args:
-        path: the final folder.
-        attributes: those of the group, without the format version.
-        fixed: the arrays that no pose changes, by name.
-        poses: number of poses P.
-        block: poses a block.
-        join: an equal run that is under way, and start none.
-
-    Raises:
-        PrtnetError: the folder cannot be written, or there is no run to join.
-    """
-
-    def __init__(
-        self,
-        path: str | Path,
-        attributes: Mapping[str, Any],
-        fixed: Mapping[str, np.ndarray[Any, Any]],
-        poses: int,
-        block: int,
-        join: bool = False,
-    ) -> None:
-        self.path = Path(path).resolve()
-        if self.path.exists() and not (self.path / "zarr.json").is_file():
-            raise PrtnetError(path, "exists and is not a dataset; give another --out")
-        self.poses, self.block = poses, block
-        self.partial = self.path.with_name(f".{self.path.name}.partial")
-        self._markers = self.partial / MARKERS
-        fingerprint = fingerprint_of(attributes, fixed, poses, block)
-        with self._disk():
-            if not self.path.parent.is_dir():
-                raise FileNotFoundError(2, f"the folder {self.path.parent} does not exist")
-            started = self._markers / fingerprint
-            self.resumed = started.exists()
-            if self.resumed:
-                self._group = zarr.open_group(str(self.partial), mode="r+", zarr_format=3)
-                return
-            if join:
-                raise PrtnetError(
-                    path,
-                    "is not being written as here: this machine sees another folder or scene, or "
-                    "has other versions of the packages; make them the same",
-                )
-            remove(self.partial)
-            self._group = create(self.partial, attributes, fixed, poses, block)
-            self._markers.mkdir()
-            started.touch()
-
-    @property
-    def blocks(self) -> int:
-        """Number of blocks in all."""
-        return -(-self.poses // self.block)
-
-    def span(self, block: int) -> slice:
-        """The poses of a block."""
-        return slice(block * self.block, min((block + 1) * self.block, self.poses))
-
-    def missing(self) -> list[int]:
-        """Blocks that are not written yet."""
-        return [block for block in range(self.blocks) if not self._marker(block).exists()]
-
-    def write(self, block: int, values: Block) -> None:
-        """Write one block, and then its marker. Different blocks may be written at once."""
-        with self._disk():
-            for name in POSE_ARRAYS:
-                writable(self._group, name)[self.span(block)] = getattr(values, name)
-            self._marker(block).touch()
-
-    def finish(self) -> Path:
-        """Put the dataset under its final name, replacing what stood there."""
-        with self._disk():
-            self._clear(self.partial)
-            finish(self.partial, self.path)
-            remove(self.path / MARKERS)  # last: until then a killed run must find its blocks
-        return self.path
-
-    def _clear(self, folder: Path) -> None:
-        """Delete what Zarr had begun to write when it was killed."""
-        for left in folder.rglob("*.partial"):
-            left.unlink()
-
-    def _marker(self, block: int) -> Path:
-        return self._markers / str(block)
-
-    @contextlib.contextmanager
-    def _disk(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            reason = error.strerror or str(error)
-            raise PrtnetError(
-                self.path, f"cannot be written ({reason}); give another --out"
-            ) from error
-
-
-def create(
-    folder: Path,
-    attributes: Mapping[str, Any],
-    fixed: Mapping[str, np.ndarray[Any, Any]],
-    poses: int,
-    block: int,
-) -> zarr.Group:
-    """A dataset without its blocks: headers, attributes, and the arrays that no pose changes.
-
-    The header of ``visibility`` has the fingerprint of all of it, should the group's be damaged.
-    """
-    group = zarr.create_group(str(folder), zarr_format=3)
-
-    def array(name: str, shape: tuple[int, ...], chunk: int, dtype: Any) -> zarr.Array[Any]:
-        return group.create_array(
-            name,
-            shape=shape,
-            chunks=tuple(max(size, 1) for size in (chunk, *shape[1:])),
-            dtype=dtype,
-            config=EVERY_CHUNK,
-            compressors=(
-                BloscCodec(cname="lz4", clevel=1, shuffle=BloscShuffle.shuffle),
-                Crc32cCodec(),  # Blosc alone reads a truncated chunk as if it were whole
-            ),
-        )
-
-    for name, value in fixed.items():
-        solid = np.ascontiguousarray(value)
-        array(name, solid.shape, solid.shape[0], solid.dtype)[...] = solid
-    receivers, size = len(fixed["receiver_side"]), len(fixed["rest_pose"])
-    rows: dict[str, tuple[tuple[int, ...], str]] = {
-        "visibility": ((receivers, attributes["order"] ** 2), "float32"),
-        "pose": ((size,), "float32"),
-        "positions": ((receivers, 3), "float32"),
-        "normals": ((receivers, 3), "float32"),
-        "tangents": ((receivers, 3), "float32"),
-        "clip": ((), "int32"),
-        "time": ((), "float32"),
-        "sources": ((len(attributes["clip_names"]),), "bool"),
-    }
-    for name, (shape, dtype) in rows.items():
-        array(name, (poses, *shape), block, np.dtype(dtype))
-    fingerprint = fingerprint_of(attributes, fixed, poses, block)
-    array_of(group, "visibility").attrs["fingerprint"] = fingerprint
-    every = {"format_version": FORMAT_VERSION, **attributes}
-    group.attrs.update({**every, HEADERS: header_sums(folder, every)})
-    return group
-
-
-def fingerprint_of(
-    attributes: Mapping[str, Any],
-    fixed: Mapping[str, np.ndarray[Any, Any]],
-    poses: int,
-    block: int,
-) -> str:
-    """SHA-256 of everything that decides what a dataset will hold."""
-    header = [FORMAT_VERSION, poses, block, dict(attributes)]
-    digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
-    for name in sorted(fixed):
-        digest.update(name.encode())
-        digest.update(np.ascontiguousarray(fixed[name]).tobytes())
-    return digest.hexdigest()

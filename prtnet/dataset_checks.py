@@ -16,6 +16,7 @@ import zarr
 
 from prtnet.errors import PrtnetError
 from prtnet.limits import check_order
+from prtnet.places import is_remote, sizes
 
 __all__ = ["check_attributes", "check_fit", "check_folder", "check_stored"]
 
@@ -31,6 +32,8 @@ def check_folder(path: Path) -> None:
     Raises:
         PrtnetError: it has one.
     """
+    if is_remote(path):
+        return  # links are the store's affair
     root = path.resolve()
     for entry in entries(path):
         if entry.is_symlink() and not inside(Path(entry.path), root):
@@ -66,7 +69,10 @@ def check_stored(path: Path, array: zarr.Array[Any]) -> None:
     codecs = {type(one).__name__ for one in getattr(array.metadata, "codecs", ())}
     if not codecs <= CODECS:
         raise ValueError(f"{name} is packed by {', '.join(sorted(codecs - CODECS))}")
-    stored = sum(e.stat().st_size for e in entries(path / name) if e.is_file())
+    if is_remote(path):
+        stored = sum(sizes(path / name).values())
+    else:
+        stored = sum(e.stat().st_size for e in entries(path / name) if e.is_file())
     claimed = math.prod(array.chunks) * array.nchunks * array.dtype.itemsize
     if claimed > LARGEST_RATIO * stored + SMALL:
         raise ValueError(f"{name} claims {claimed} bytes, in files of {stored}")

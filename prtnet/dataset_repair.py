@@ -7,7 +7,6 @@ for the caller to compute again.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,18 +18,17 @@ from prtnet.dataset import (
     HEADERS,
     POSE_ARRAYS,
     SELF,
+    UNREADABLE,
     Block,
-    DatasetWriter,
     array_of,
-    create,
     header_of,
     header_sums,
     readable,
-    writable,
 )
 from prtnet.dataset_checks import check_folder
+from prtnet.dataset_writer import DatasetWriter, create, writable
 from prtnet.errors import PrtnetError
-from prtnet.files import remove
+from prtnet.places import failures, place, put, remove_place, sizes, store
 
 __all__ = ["DatasetRepair"]
 
@@ -57,7 +55,7 @@ class DatasetRepair(DatasetWriter):
         poses: int,
         block: int,
     ) -> None:
-        self.path = Path(path).resolve()
+        self.path = place(path).resolve()
         self.poses, self.block = poses, block
         self.mended: list[str] = []
         if not header_of(self.path, "").is_file():
@@ -65,14 +63,14 @@ class DatasetRepair(DatasetWriter):
         check_folder(self.path)
         sound = self.path.with_name(f".{self.path.name}.repair")
         with self._disk():
-            remove(sound)
+            remove_place(sound)
             try:
                 create(sound, attributes, fixed, poses, block)
                 self._require_same(sound)
                 self._mend(sound)
             finally:
-                remove(sound)
-            self._group = zarr.open_group(str(self.path), mode="r+", zarr_format=3)
+                remove_place(sound)
+            self._group = zarr.open_group(store(self.path), mode="r+", zarr_format=3)
         self.bad = {
             number: names
             for number in range(self.blocks)
@@ -81,13 +79,13 @@ class DatasetRepair(DatasetWriter):
 
     def _require_same(self, sound: Path) -> None:
         """Refuse a dataset that was made with other options or versions than are given now."""
-        wanted = dict(zarr.open_group(str(sound), mode="r").attrs)
+        wanted = dict(zarr.open_group(store(sound), mode="r").attrs)
         try:
-            group = zarr.open_group(str(self.path), mode="r", zarr_format=3)
+            group = zarr.open_group(store(self.path), mode="r", zarr_format=3)
             found: dict[str, Any] = dict(group.attrs)
             known = header_sums(self.path, found)[SELF]
             intact = found[HEADERS][SELF] == known
-        except (OSError, ValueError, KeyError, TypeError, zarr.errors.GroupNotFoundError):
+        except failures(self.path, UNREADABLE):
             intact = False
         if intact:
             other = sorted(
@@ -110,19 +108,19 @@ class DatasetRepair(DatasetWriter):
 
     def _mend(self, sound: Path) -> None:
         """Put the headers and fixed arrays of ``sound`` where the dataset's differ from them."""
-        for file in sorted(path for path in sound.rglob("*") if path.is_file()):
-            name = file.relative_to(sound)
-            own = self.path / name
+        for name in sorted(sizes(sound)):
+            file, own = sound / name, self.path / name
             if not own.is_file() or own.read_bytes() != file.read_bytes():
                 own.parent.mkdir(parents=True, exist_ok=True)
-                os.replace(file, own)
-                self.mended.append(name.as_posix())
+                put(file, own)
+                self.mended.append(name)
 
     def _whole(self, name: str, number: int) -> bool:
         """Whether a block of an array is there and has its checksum."""
         array = array_of(self._group, name)
         key = array.metadata.encode_chunk_key((number, *(0,) * (array.ndim - 1)))
-        return (self.path / name / key).is_file() and readable(array, number)
+        there = (self.path / name / key).is_file()
+        return there and readable(array, number, failures(self.path, UNREADABLE))
 
     def missing(self) -> list[int]:
         """Blocks of which an array is damaged or missing."""

@@ -19,13 +19,12 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-import safetensors
 
-from prtnet.array_file import BLOCK, read_arrays, write_arrays
+from prtnet.block_files import read_block, read_part, write_block
 from prtnet.cores import core_count
 from prtnet.errors import PrtnetError
 from prtnet.executor import Tasks, executor
-from prtnet.files import remove
+from prtnet.places import children, failures, is_remote, remove_place
 from prtnet.provenance import made_with
 
 __all__ = ["Exchange", "Given", "Result", "Work", "elsewhere", "exchange", "in_parallel", "through"]
@@ -59,17 +58,7 @@ class Given:
         Raises:
             PrtnetError: this machine does not see the file.
         """
-        try:
-            with safetensors.safe_open(self.path, framework="numpy") as file:
-                if rows is None:
-                    return file.get_tensor(name)
-                own = file.get_slice(name)
-                return own[slice(*rows.indices(own.get_shape()[0])[:2])]
-        except (OSError, safetensors.SafetensorError) as error:
-            raise PrtnetError(
-                self.path.parent,
-                "cannot be read on a worker; put --out where every machine sees it by this name",
-            ) from error
+        return read_part(self.path, name, rows)
 
 
 class Work(Protocol):
@@ -96,7 +85,7 @@ class Piece:
     def __call__(self, number: int, pool: Executor) -> None:
         """Do block ``number``; the other threads have blocks of their own."""
         del pool
-        write_arrays(self.path(number), *self.work(number, self.given), BLOCK)
+        write_block(self.path(number), *self.work(number, self.given))
 
     def path(self, number: int) -> Path:
         """Where the result of a block is."""
@@ -122,7 +111,7 @@ class Exchange:
 
         Asked for one by one, a file server may remember for a while that there was none.
         """
-        return {path.name for path in self.folder.iterdir()}
+        return {path.name for path in children(self.folder)}
 
     def put(self, arrays: Mapping[str, Any]) -> Given:
         """Arrays in a file that every machine sees.
@@ -137,7 +126,7 @@ class Exchange:
             digest.update(solid[name].tobytes())
         given = digest.hexdigest()[:DIGITS]
         if given not in self.there() or not whole(self.folder / given):
-            write_arrays(self.folder / given, {}, solid, BLOCK)
+            write_block(self.folder / given, {}, solid)
         return Given(self.folder / given)
 
     def run(
@@ -158,7 +147,7 @@ class Exchange:
         left = sorted(set(range(count)) - set(done))
         for numbers in (done, self.tasks.run(piece, left, ahead=core_count())):
             for number in numbers:
-                yield number, *read_arrays(piece.path(number), BLOCK)
+                yield number, *read_block(piece.path(number))
 
     def ordered(
         self,
@@ -201,22 +190,22 @@ def through(tasks: Tasks, folder: Path, packages: Sequence[str] = ()) -> Iterato
     folder = folder.resolve()
     try:
         folder.mkdir(exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or str(error)
+    except failures(folder) as error:
+        reason = getattr(error, "strerror", None) or str(error)
         raise PrtnetError(folder, f"cannot be made ({reason}); give another --out") from error
     token = CURRENT.set(Exchange(tasks, folder, made_with(*packages)))
     try:
         yield
     finally:
         CURRENT.reset(token)
-    with contextlib.suppress(OSError):  # a file server may hold a name for a while
-        remove(folder)
+    with contextlib.suppress(*failures(folder)):  # a file server may hold a name for a while
+        remove_place(folder)
 
 
 def whole(path: Path) -> bool:
     """Whether a file can be read: one that cannot, after a loss of power, is deleted."""
     try:
-        read_arrays(path, BLOCK)
+        read_block(path)
     except PrtnetError:
         path.unlink(missing_ok=True)
         return False
@@ -224,12 +213,16 @@ def whole(path: Path) -> bool:
 
 
 def elsewhere(
-    address: str | None, out: Path, packages: Sequence[str]
+    address: str | None, out: Path, packages: Sequence[str], data: Path | None = None
 ) -> contextlib.AbstractContextManager[None]:
-    """As :func:`through`, to a Dask cluster by a hidden folder beside ``out``; here where None."""
+    """What is handed to a Dask cluster, as :func:`through`; nothing where its address is None.
+
+    The folder is a hidden one beside ``out``, or beside ``data`` where that is in a store.
+    """
     if address is None:
         return contextlib.nullcontext()
-    folder = out.with_name(f".{out.name}.blocks")
+    beside = data if data is not None and is_remote(data) else out
+    folder = beside.with_name(f".{out.name}.blocks")
     return through(executor(address, 1, packages), folder, packages)
 
 

@@ -21,8 +21,11 @@ UNCHECKED = 3
 
 
 def verdict(report: str) -> tuple[int, str]:
-    """Exit status and what to say of pip-audit's JSON, or of the nothing that it left."""
-    packages = json.loads(report)["dependencies"] if report.strip() else []
+    """Exit status and what to say of pip-audit's JSON, or of whatever else it left."""
+    try:
+        packages = json.loads(report)["dependencies"]
+    except (ValueError, KeyError, TypeError):
+        packages = []
     known = [
         f"{each['name']} {each['version']}: {flaw['id']}, mended in "
         f"{', '.join(flaw['fix_versions']) or 'no version yet'}"
@@ -49,7 +52,9 @@ def main() -> int:
         subprocess.run([python, *pip], check=False, stderr=subprocess.DEVNULL)
         done = subprocess.run([python, *audit], capture_output=True, text=True, check=False)
     status, said = verdict(done.stdout)
-    sys.stdout.write(f"audit: {said}\n")
+    own = done.stderr.strip().splitlines()
+    why = f" ({own[-1]})" if status == UNCHECKED and own else ""
+    sys.stdout.write(f"audit: {said}{why}\n")
     return status
 
 

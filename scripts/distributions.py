@@ -86,7 +86,8 @@ def try_out(wheel: Path, folder: Path) -> None:
     scripts = folder / "venv" / "bin"
 
     def run(*command: str | Path) -> None:
-        subprocess.run(command, cwd=folder, env=environment, check=True)
+        if subprocess.run(command, cwd=folder, env=environment, check=False).returncode:
+            raise SystemExit(f"dist: failed at {' '.join(map(str, command))}")
 
     run(sys.executable, "-m", "venv", scripts.parent)
     pip = scripts / "python", "-m", "pip", "--disable-pip-version-check", "--no-input"

@@ -40,6 +40,7 @@ READ = {
     "mpmath": "BSD-3-Clause",
     "openexr": "BSD-3-Clause",
     "partd": "BSD-3-Clause",
+    "pathlib-abc": "PSF-2.0",
     "pyglet": "BSD-3-Clause",
     "pyopengl": "BSD-3-Clause",
     "scipy": "BSD-3-Clause",
@@ -97,7 +98,7 @@ def licence(package: metadata.Distribution) -> str:
     )
     if not known:
         raise SystemExit(f"{name}: says no licence that is known; add it to scripts/licences.py")
-    return known[0]
+    return " AND ".join(dict.fromkeys(known))
 
 
 def unexplained(package: metadata.Distribution) -> list[str]:

@@ -96,6 +96,30 @@ def test_the_command(cluster: Any, scene: Path, tmp_path: Path) -> None:
     assert run(["generate", *words, *address, "--repair"]) == 2
 
 
+@CAN_KILL
+def test_a_dataset_in_a_store(cluster: Any, scene: Path, tmp_path: Path) -> None:
+    """Workers and we see it by its URL alone; what train hands over lies beside it."""
+    (tmp_path / "here").mkdir()
+    url = f"file://{tmp_path}/farm/a.zarr"
+    where: Any = {"cluster": cluster.scheduler_address, "source": scene}
+
+    def kill_one(done: int, _: int) -> None:
+        if done == 4:
+            kill_a_worker(cluster)
+
+    generate(read_scene(scene), CONFIG, url, kill_one, **where)
+    here = generate(read_scene(scene), CONFIG, tmp_path / "here" / "a.zarr").path
+    assert contents(tmp_path / "farm" / "a.zarr") == contents(here)
+    words = ["--preset", "small", "--alpha", "0.01", "--iterations", "9", "--threads", "1"]
+    out = tmp_path / "here" / "a.safetensors"
+    address = ["--cluster", cluster.scheduler_address, "--quiet"]
+    assert run(["train", url, *words, *address, "--out", str(out)]) == 0
+    far = out.read_bytes()
+    assert run(["train", str(here), *words, "--quiet", "--out", str(out)]) == 0
+    assert out.read_bytes() == far
+    assert sorted(path.name for path in (tmp_path / "farm").iterdir()) == ["a.zarr"]
+
+
 def test_a_worker_that_sees_another_scene_says_so(
     cluster: Any, scene: Path, tmp_path: Path
 ) -> None:

@@ -103,3 +103,4 @@ def test_audit_calls_nothing_clean_that_was_not_checked() -> None:
     assert said(fine, lost)[0] == said(lost)[0] == verdict("")[0] == UNCHECKED
     assert "could not be checked: c" in said(fine, lost)[1]
     assert "nothing was checked" in verdict("")[1]
+    assert verdict("no JSON") == verdict("[]") == verdict("")

@@ -115,8 +115,8 @@ def compare(value: Any, limit: Any, holds: Callable[..., Any], sign: str) -> Non
 
 
 def short(value: float) -> str:
-    """Two digits, or the whole part."""
-    return f"{value:.0f}" if 100.0 <= abs(value) < 1e6 else f"{value:.2g}"
+    """Three digits, or the whole part: what is near its limit should not look like it."""
+    return f"{value:.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 def numbers(values: Any) -> np.ndarray:

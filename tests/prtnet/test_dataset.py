@@ -17,13 +17,12 @@ import zarr
 from prtnet.dataset import (
     FORMAT_VERSION,
     HEADERS,
-    MARKERS,
     POSE_ARRAYS,
     SAMPLED,
     Block,
     Dataset,
-    DatasetWriter,
 )
+from prtnet.dataset_writer import MARKERS, DatasetWriter
 from prtnet.errors import PrtnetError
 
 POSES, RECEIVERS, ORDER, JOINTS, BLOCK = 10, 6, 2, 2, 4

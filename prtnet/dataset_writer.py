@@ -1,0 +1,212 @@
+"""Writes datasets block by block, and goes on where an equal run was stopped.
+
+The group grows in a hidden folder beside its final name, where each whole block leaves an empty
+marker file; the folder is renamed, or copied in a store, when all blocks are whole.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
+
+from prtnet.dataset import (
+    FORMAT_VERSION,
+    HEADERS,
+    POSE_ARRAYS,
+    Block,
+    array_of,
+    header_sums,
+)
+from prtnet.errors import PrtnetError
+from prtnet.places import children, failures, is_remote, place, publish, remove_place, store
+
+__all__ = ["MARKERS", "DatasetWriter"]
+
+MARKERS = ".whole-blocks"
+# Chunks of zeros are files too: one that is missing is then always a damaged copy. Of arrays, since
+# what is set for all of Zarr is set for all threads.
+EVERY_CHUNK: Any = {"write_empty_chunks": True}
+
+
+class DatasetWriter:
+    """Writes a dataset block by block; goes on where an equal run was stopped.
+
+    Args:
+        path: the final folder.
+        attributes: those of the group, without the format version.
+        fixed: the arrays that no pose changes, by name.
+        poses: number of poses P.
+        block: poses a block.
+        join: an equal run that is under way, and start none.
+
+    Raises:
+        PrtnetError: the folder cannot be written, or there is no run to join.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        attributes: Mapping[str, Any],
+        fixed: Mapping[str, np.ndarray[Any, Any]],
+        poses: int,
+        block: int,
+        join: bool = False,
+    ) -> None:
+        self.path = place(path).resolve()
+        self.poses, self.block = poses, block
+        self.partial = self.path.with_name(f".{self.path.name}.partial")
+        self._markers = self.partial / MARKERS
+        with self._disk():
+            self._require_own()
+        fingerprint = fingerprint_of(attributes, fixed, poses, block)
+        with self._disk():
+            if not (is_remote(self.path) or self.path.parent.is_dir()):
+                raise FileNotFoundError(2, f"the folder {self.path.parent} does not exist")
+            started = self._markers / fingerprint
+            self.resumed = started.exists()
+            if self.resumed:
+                self._group = zarr.open_group(store(self.partial), mode="r+", zarr_format=3)
+                return
+            if join:
+                raise PrtnetError(
+                    path,
+                    "is not being written as here: this machine sees another folder or scene, or "
+                    "has other versions of the packages; make them the same",
+                )
+            remove_place(self._markers)  # first: nobody may go on with what is half deleted
+            remove_place(self.partial)
+            self._group = create(self.partial, attributes, fixed, poses, block)
+            self._markers.mkdir(exist_ok=True)
+            started.touch()
+
+    def _require_own(self) -> None:
+        """Refuse to replace what is no dataset, nor one half copied by a run that was killed."""
+        whole = not self.path.exists() or (self.path / "zarr.json").is_file()
+        if not (whole or (is_remote(self.path) and self._markers.exists())):
+            raise PrtnetError(self.path, "exists and is not a dataset; give another --out")
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks in all."""
+        return -(-self.poses // self.block)
+
+    def span(self, block: int) -> slice:
+        """The poses of a block."""
+        return slice(block * self.block, min((block + 1) * self.block, self.poses))
+
+    def missing(self) -> list[int]:
+        """Blocks that are not written yet."""
+        with self._disk():
+            written = {marker.name for marker in children(self._markers)}
+        return [block for block in range(self.blocks) if str(block) not in written]
+
+    def write(self, block: int, values: Block) -> None:
+        """Write one block, and then its marker. Different blocks may be written at once."""
+        with self._disk():
+            for name in POSE_ARRAYS:
+                writable(self._group, name)[self.span(block)] = getattr(values, name)
+            self._marker(block).touch()
+
+    def finish(self) -> Path:
+        """Put the dataset under its final name, replacing what stood there."""
+        with self._disk():
+            self._clear(self.partial)
+            publish(self.partial, self.path, "zarr.json", MARKERS)
+        return self.path
+
+    def _clear(self, folder: Path) -> None:
+        """Delete what Zarr had begun to write when it was killed; stores take files whole."""
+        for left in () if is_remote(folder) else folder.rglob("*.partial"):
+            left.unlink()
+
+    def _marker(self, block: int) -> Path:
+        return self._markers / str(block)
+
+    @contextlib.contextmanager
+    def _disk(self) -> Iterator[None]:
+        try:
+            yield
+        except PrtnetError:
+            raise
+        except failures(self.path) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise PrtnetError(
+                self.path, f"cannot be written ({reason}); give another --out"
+            ) from error
+
+
+def create(
+    folder: Path,
+    attributes: Mapping[str, Any],
+    fixed: Mapping[str, np.ndarray[Any, Any]],
+    poses: int,
+    block: int,
+) -> zarr.Group:
+    """A dataset without its blocks: headers, attributes, and the arrays that no pose changes.
+
+    The header of ``visibility`` has the fingerprint of all of it, should the group's be damaged.
+    """
+    group = zarr.create_group(store(folder), zarr_format=3)
+
+    def array(name: str, shape: tuple[int, ...], chunk: int, dtype: Any) -> zarr.Array[Any]:
+        return group.create_array(
+            name,
+            shape=shape,
+            chunks=tuple(max(size, 1) for size in (chunk, *shape[1:])),
+            dtype=dtype,
+            config=EVERY_CHUNK,
+            compressors=(
+                BloscCodec(cname="lz4", clevel=1, shuffle=BloscShuffle.shuffle),
+                Crc32cCodec(),  # Blosc alone reads a truncated chunk as if it were whole
+            ),
+        )
+
+    for name, value in fixed.items():
+        solid = np.ascontiguousarray(value)
+        array(name, solid.shape, solid.shape[0], solid.dtype)[...] = solid
+    receivers, size = len(fixed["receiver_side"]), len(fixed["rest_pose"])
+    rows: dict[str, tuple[tuple[int, ...], str]] = {
+        "visibility": ((receivers, attributes["order"] ** 2), "float32"),
+        "pose": ((size,), "float32"),
+        "positions": ((receivers, 3), "float32"),
+        "normals": ((receivers, 3), "float32"),
+        "tangents": ((receivers, 3), "float32"),
+        "clip": ((), "int32"),
+        "time": ((), "float32"),
+        "sources": ((len(attributes["clip_names"]),), "bool"),
+    }
+    for name, (shape, dtype) in rows.items():
+        array(name, (poses, *shape), block, np.dtype(dtype))
+    fingerprint = fingerprint_of(attributes, fixed, poses, block)
+    array_of(group, "visibility").attrs["fingerprint"] = fingerprint
+    every = {"format_version": FORMAT_VERSION, **attributes}
+    group.attrs.update({**every, HEADERS: header_sums(folder, every)})
+    return group
+
+
+def fingerprint_of(
+    attributes: Mapping[str, Any],
+    fixed: Mapping[str, np.ndarray[Any, Any]],
+    poses: int,
+    block: int,
+) -> str:
+    """SHA-256 of everything that decides what a dataset will hold."""
+    header = [FORMAT_VERSION, poses, block, dict(attributes)]
+    digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
+    for name in sorted(fixed):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(fixed[name]).tobytes())
+    return digest.hexdigest()
+
+
+def writable(group: zarr.Group, name: str) -> zarr.Array[Any]:
+    """A member of a group to write to."""
+    return array_of(group, name).with_config(EVERY_CHUNK)
