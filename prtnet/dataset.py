@@ -84,8 +84,10 @@ class Rows:
             if isinstance(index, (int, slice)):
                 return np.asarray(self._array[index])
             return np.asarray(self._array.oindex[np.arange(len(self))[index]])
-        except failures(self._path, UNREADABLE) as error:
+        except UNREADABLE as error:
             raise PrtnetError(self._path, self.complaint(index)) from error
+        except failures(self._path) as error:
+            raise out_of_reach(self._path, error) from error
 
     def complaint(self, index: int | slice | IntArray) -> str:
         """Which blocks are damaged among those that hold these poses, and what to do about it."""
@@ -97,6 +99,11 @@ class Rows:
         if self._array.basename not in POSE_ARRAYS or not bad:
             where = ""
         return f"array '{self._array.basename}' is damaged{where}; {MEND}"
+
+
+def out_of_reach(path: Path, error: Exception) -> PrtnetError:
+    """What to say where a store's client fails in a way of its own."""
+    return PrtnetError(path, f"cannot be read ({error}); check the store")
 
 
 MEND = "repeat the prtnet generate that made it with --repair"
@@ -145,7 +152,7 @@ def opened(path: Path) -> zarr.Group:
         # Headers of arrays within the group's own have no checksum: they are not looked at.
         group = zarr.open_group(store(path), mode="r", zarr_format=3, use_consolidated=False)
         attributes: dict[str, Any] = dict(group.attrs)
-    except failures(path, UNREADABLE) as error:
+    except UNREADABLE as error:
         if all(header_of(path, name).is_file() for name in POSE_ARRAYS):
             raise PrtnetError(path, f"its zarr.json is damaged; {MEND}") from error
         raise PrtnetError(path, "is not a dataset; make one with prtnet generate") from error
@@ -245,15 +252,16 @@ class Dataset:
             raise PrtnetError(path, f"cannot be reached ({error}); check the address") from error
         if not there:
             raise PrtnetError(path, "does not exist; make it with prtnet generate")
-        group = opened(path)
         try:
-            return cls(path, group)
+            return cls(path, opened(path))
         except PrtnetError:
             raise
         except KeyError as error:
             raise PrtnetError(path, f"has no {error}; generate it again") from error
-        except failures(path, UNREADABLE) as error:
+        except UNREADABLE as error:
             raise PrtnetError(path, f"does not fit together ({error}); {MEND}") from error
+        except failures(path) as error:
+            raise out_of_reach(path, error) from error
 
     def rows(self, name: str) -> Rows:
         """One of the arrays whose leading axis is the pose."""
