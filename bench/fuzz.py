@@ -1,13 +1,13 @@
 """Damaged and hostile files against every reader: each is read, or refused in one line.
 
-    python bench/fuzz.py [--cases N] [--seed S] [READER…] [--write]
+    python bench/fuzz.py [--cases N] [--seed S] [--jobs J] [READER…] [--write]
     python bench/fuzz.py --case K READER    # one of them again, with its traceback
 
-Cases of a reader run one after the other in a process of its own with 1 GB of address space beside
-what sound files take, and two seconds of processor time each. Anything else than success or one
-line of error is a failure: another exception, a warning, a word on the output streams, a file
-outside the folder, a step towards the network or another program, a process that dies. Its files
-are kept under bench/out/fuzz.
+J readers at a time; cases of one run one after the other in a process of its own with 1 GB of
+address space beside what sound files take, and two seconds of processor time each. Anything else
+than success or one line of error is a failure: another exception, a warning, a word on the output
+streams, a file outside the folder, a step towards the network or another program, a process that
+dies. Its files are kept under bench/out/fuzz.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -125,6 +126,7 @@ def kept(name: str, case: int) -> Path:
 
 def tried(name: str, seed: int, cases: int, folder: Path) -> Tally:
     """All cases of a reader; after one that ends its process another process goes on."""
+    folder.mkdir()
     tally, first = Tally(), 0
     while first < cases:
         (folder / "at").write_bytes(first.to_bytes(8, "little"))
@@ -178,6 +180,7 @@ def main() -> None:
     parser.add_argument("readers", nargs="*", metavar="READER", help=", ".join(READERS))
     parser.add_argument("--cases", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1, help="readers at a time")
     parser.add_argument("--case", type=int, help="repeat one")
     parser.add_argument("--write", action="store_true", help="put the table into the docs")
     parser.add_argument("--work", nargs=3, help=argparse.SUPPRESS)
@@ -196,13 +199,16 @@ def main() -> None:
                 print(outcome(READERS[names[0]].use, path))
             return
         start, rows, failed = time.perf_counter(), [], 0
-        for name in names:
-            tally = tried(name, words.seed, words.cases, Path(made))
-            rows.append(tally.row(name))
-            failed += len(tally.failures)
-            print(*rows[-1], sep="  ", flush=True)
-            for case, what in sorted(tally.failures.items())[:20]:
-                print(f"  case {case}: {what}", flush=True)
+        with ThreadPoolExecutor(words.jobs) as pool:
+            every = pool.map(
+                lambda name: tried(name, words.seed, words.cases, Path(made) / name), names
+            )
+            for name, tally in zip(names, every, strict=True):
+                rows.append(tally.row(name))
+                failed += len(tally.failures)
+                print(*rows[-1], sep="  ", flush=True)
+                for case, what in sorted(tally.failures.items())[:20]:
+                    print(f"  case {case}: {what}", flush=True)
     minutes = (time.perf_counter() - start) / 60
     publish("inputs", COLUMNS, rows, f"Seed {words.seed}, {minutes:.0f} minutes.", PAGE)
     sys.exit(failed > 0)
