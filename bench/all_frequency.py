@@ -2,8 +2,8 @@
 
 python bench/all_frequency.py [--write] [--vertices N] [--full] [--quick]
 
-The bunny, decimated to 11,500 vertices, in light of 6 × 32 × 32; --full takes all of its vertices,
---quick leaves out the curve and the other materials.
+The bunny, decimated to 11,500 vertices, in light of 6 × 32 × 32; --quick leaves out the curve and
+the other materials, and so does --full, which takes all vertices and has tables of its own.
 """
 
 from __future__ import annotations
@@ -166,9 +166,10 @@ def main() -> None:
     started = time.perf_counter()
     seen = cube_visibility(surface, [surface], SAMPLES * SIZE, chosen.threads)
     seconds["visibility"] = time.perf_counter() - started
+    quick, full = chosen.quick or chosen.full, ", full" * chosen.full
     told = f"{len(surface):,} vertices, about {MAIN[1]} a cluster of {MAIN[0]} representatives"
     rows = [PAPER]
-    for name, brdf in list(MATERIALS.items())[: 1 if chosen.quick else None]:
+    for name, brdf in list(MATERIALS.items())[: 1 if quick else None]:
         encoder = Encoder(surface, seen, brdf, chosen.threads)
         field, losses = encoder.field(encoder.clusters(MAIN), ERRORS[1])
         rows.append(row_of(f"{name}, m = {field.rows}", field, losses))
@@ -176,14 +177,14 @@ def main() -> None:
         if len(rows) == 2:
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
             seconds |= encoder.seconds
-            publish("all frequency stages", ("", "MB", "of raw", "squared error"),
+            publish(f"all frequency stages{full}", ("", "MB", "of raw", "squared error"),
                     stage_rows(field, losses), f"{name}; {told}.")  # fmt: skip
             taken = [[stage, f"{number:.0f}"] for stage, number in seconds.items()]
             taken.append(["peak memory, GB", f"{peak:.2f}"])
-            publish("all frequency time", ("", "seconds"), taken,
+            publish(f"all frequency time{full}", ("", "seconds"), taken,
                     f"{name}; {told}, {chosen.threads} threads.")  # fmt: skip
     publish(
-        "all frequency bytes",
+        f"all frequency bytes{full}",
         ("", "vertices", "raw, GB", "ω", "clusters", "clustered", "wavelets", "both", "in all",
          "squared error"),
         rows,
@@ -191,7 +192,7 @@ def main() -> None:
         " wavelets, 16 bits and sparse columns leave of them, both; then *in all*, with weights,"
         " lists and view factors.",
     )  # fmt: skip
-    if not chosen.quick:
+    if not quick:
         curve(Encoder(surface, seen, next(iter(MATERIALS.values())), chosen.threads))
 
 

@@ -5,8 +5,8 @@
 Every frame has another pose and camera; now and then light, material, mode, crowd, size of the
 window or the whole character change, as the rates below say. Small windows on a virtual screen,
 small characters: what leaks or stalls does so whatever the size. A frame is *late* if it took more
-than five times the median; it is *ours* if the process computed for as long, else other processes
-had the machine.
+than five times the median of its character (one beside a prior costs four times another); it is
+*ours* if the process computed for as long, else other processes had the machine.
 """
 
 from __future__ import annotations
@@ -81,11 +81,15 @@ class Soak:
         self.wall = np.full(self.frames, np.nan)  # seconds
         self.busy = np.full(self.frames, np.nan)  # of this process, all threads
         self.did = [""] * self.frames  # what a frame changed
+        self.shown = np.zeros(self.frames, int)  # which character
 
     def late(self) -> tuple[Counter[str], int]:
         """Frames that are ours by what they changed, and how many others held up."""
-        late = self.wall > LATE * np.median(self.wall)
-        ours = late & (self.busy > LATE * np.median(self.busy))
+        late, ours = np.zeros(self.frames, bool), np.zeros(self.frames, bool)
+        for character in np.unique(self.shown):
+            own = self.shown == character
+            late[own] = self.wall[own] > LATE * np.median(self.wall[own])
+            ours[own] = late[own] & (self.busy[own] > LATE * np.median(self.busy[own]))
         return Counter(self.did[k] for k in np.flatnonzero(ours)), int((late & ~ours).sum())
 
     def spread(self) -> float:
@@ -114,6 +118,8 @@ COLUMNS = ["", "frames", "hours", "MB after warm-up", "at the end", "spread",
 class Loop(Protocol):
     """What is run."""
 
+    shown: int  # which character
+
     def __call__(self) -> tuple[str, bool]:
         """A frame: what it changed, and whether everything that it made is finite."""
         ...
@@ -133,6 +139,7 @@ def soaked(frames: int, loop: Loop) -> Soak:
         found.wall[number] = time.perf_counter() - wall
         found.busy[number] = time.process_time() - busy
         found.did[number] = sys.intern(changed)
+        found.shown[number] = loop.shown
         found.bad += not sound
         found.most[number >= frames // 2] = max(found.most[number >= frames // 2], resident())
         if number >= WARM_UP * frames and number % every == 0:
@@ -140,6 +147,8 @@ def soaked(frames: int, loop: Loop) -> Soak:
             gc.collect()
             ctypes.CDLL(None).malloc_trim(0)
             found.memory.append(resident())
+            print(f"\r{number} of {frames}", end="", flush=True)
+    print("\r", end="")
     found.seconds = time.perf_counter() - began
     return found
 
@@ -191,7 +200,8 @@ class OnnxLoop:
 
     def take(self, files: tuple[Path, Path] | None = None) -> None:
         """Another model."""
-        model, scene = files or self.rng.choice(self.files)
+        model, scene = files = files or self.rng.choice(self.files)
+        self.shown = self.files.index(files)
         self.actor = ModelledScene(VisibilityModel.load(model), read_scene(scene))
         self.onnx = OnnxModel(build_onnx(self.actor.model).SerializeToString(), threads=1)
 
@@ -225,6 +235,7 @@ class ViewerLoop:
         self.rng = random.Random(0)
         self.viewer, self.files, self.rates = viewer, files, {**RATES, **rates}
         self.first = dataclasses.replace(viewer.view)
+        self.shown = 0
 
     def __call__(self) -> tuple[str, bool]:
         viewer, rng = self.viewer, self.rng
@@ -245,7 +256,7 @@ class ViewerLoop:
 
     def rest(self) -> None:
         """The first character as it was first shown, in a window of the first size."""
-        viewer = self.viewer
+        viewer, self.shown = self.viewer, 0
         viewer.dropped(0, 0, list(map(str, self.files[0])))
         vars(viewer.view).update(vars(self.first))
         viewer.helping = False
@@ -295,7 +306,9 @@ class ViewerLoop:
     def another_character(self) -> None:
         if self.viewer.view.brdf.startswith("lobe"):
             self.viewer.change("brdf", "matte")
-        self.viewer.dropped(0, 0, list(map(str, self.rng.choice(self.files))))
+        files = self.rng.choice(self.files)
+        self.shown = self.files.index(files)
+        self.viewer.dropped(0, 0, list(map(str, files)))
 
 
 @contextmanager
