@@ -98,8 +98,19 @@ def test_late_frames_are_ours_if_the_process_was_busy():
     assert found.spread() == pytest.approx(0.02)
 
 
+def test_frames_are_late_beside_others_of_their_character():
+    found = Soak(12)
+    found.wall[:], found.busy[:] = 1.0, 1.0
+    found.shown[6:] = 1
+    found.wall[6:] = found.busy[6:] = 7.0
+    assert found.late() == (Counter(), 0)
+    found.wall[8] = found.busy[8] = 36.0
+    assert found.late() == (Counter({"": 1}), 0)
+
+
 def test_frames_that_are_not_finite_are_counted():
     class Three:
+        shown = 2
         results = iter([("", True), ("light", False), ("", True)])
 
         def __call__(self):
@@ -110,4 +121,5 @@ def test_frames_that_are_not_finite_are_counted():
 
     found = soaked(3, Three())
     assert (found.bad, found.did) == (1, ["", "light", ""])
+    assert found.shown.tolist() == [2, 2, 2]
     assert np.isfinite(found.wall).all()
