@@ -4,9 +4,10 @@
 
 Every frame has another pose and camera; now and then light, material, mode, crowd, size of the
 window or the whole character change, as the rates below say. Small windows on a virtual screen,
-small characters: what leaks or stalls does so whatever the size. A frame is *late* if it took more
-than five times the median of its character (one beside a prior costs four times another); it is
-*ours* if the process computed for as long, else other processes had the machine.
+small characters: what leaks or stalls does so whatever the size. All frames are run twice, with the
+same random numbers. A frame is *late* if it took more than five times the median of its character
+(one beside a prior costs four times another); it is *ours* if it is late both times while the
+process computed for as long, else others had the machine.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from bench.tables import ROOT, publish
 from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm
 from data_gen.readers import read_scene
+from prtnet.arrays import BoolArray, FloatArray
 from prtnet.cli_options import ViewOptions
 from prtnet.cli_view import opened_viewer
 from prtnet.frames import rest_tangents
@@ -68,29 +70,35 @@ RATES = {
 
 @dataclass
 class Soak:
-    """What a run saw."""
+    """What two equal runs saw."""
 
-    frames: int
+    frames: int  # of each
     seconds: float = 0.0
     memory: list[int] = field(default_factory=list)  # bytes, at rest, after the warm-up
-    most: list[int] = field(default_factory=lambda: [0, 0])  # bytes, in either half
+    most: list[int] = field(default_factory=lambda: [0, 0])  # bytes, in either run
     bad: int = 0  # frames with a pixel or number that is not finite
 
     def __post_init__(self) -> None:
         """Room for everything that is noted, so that it does not count as growth."""
-        self.wall = np.full(self.frames, np.nan)  # seconds
-        self.busy = np.full(self.frames, np.nan)  # of this process, all threads
+        self.wall = np.full((2, self.frames), np.nan)  # seconds
+        self.busy = np.full((2, self.frames), np.nan)  # of this process, all threads
         self.did = [""] * self.frames  # what a frame changed
         self.shown = np.zeros(self.frames, int)  # which character
 
     def late(self) -> tuple[Counter[str], int]:
-        """Frames that are ours by what they changed, and how many others held up."""
-        late, ours = np.zeros(self.frames, bool), np.zeros(self.frames, bool)
+        """Frames that are ours by what they changed, and how many times others held one up."""
+        late, busy = self.above_median(self.wall), self.above_median(self.busy)
+        ours = (late & busy).all(0)
+        return Counter(self.did[k] for k in np.flatnonzero(ours)), int((late & ~ours).sum())
+
+    def above_median(self, seconds: FloatArray) -> BoolArray:
+        """Which are more than so many medians of the character's, in each run."""
+        found = np.zeros(seconds.shape, bool)
         for character in np.unique(self.shown):
             own = self.shown == character
-            late[own] = self.wall[own] > LATE * np.median(self.wall[own])
-            ours[own] = late[own] & (self.busy[own] > LATE * np.median(self.busy[own]))
-        return Counter(self.did[k] for k in np.flatnonzero(ours)), int((late & ~ours).sum())
+            median = np.median(seconds[:, own], axis=1, keepdims=True)
+            found[:, own] = seconds[:, own] > LATE * median
+        return found
 
     def spread(self) -> float:
         """Of the memory after the warm-up, a fraction of where it was then."""
@@ -104,14 +112,14 @@ class Soak:
         counts = (self.memory[0], self.memory[-1], *self.most)
         megabytes = [f"{count / 1e6:.1f}" for count in counts]
         return [
-            name, f"{self.frames:,}", f"{self.seconds / 3600:.2f}", *megabytes[:2],
+            name, f"2 × {self.frames:,}", f"{self.seconds / 3600:.2f}", *megabytes[:2],
             f"{100 * self.spread():.2f} %", *megabytes[2:], self.bad, still, names or "none",
             held_up,
         ]  # fmt: skip
 
 
 COLUMNS = ["", "frames", "hours", "MB after warm-up", "at the end", "spread",
-           "most in the first half", "in the second", "not finite",
+           "most in the first run", "in the second", "not finite",
            "late, ours", "late, ours, that changed", "late, held up by others"]  # fmt: skip
 
 
@@ -128,26 +136,35 @@ class Loop(Protocol):
         """Show what was shown first."""
         ...
 
+    def again(self) -> None:
+        """Begin anew."""
+        ...
+
 
 def soaked(frames: int, loop: Loop) -> Soak:
-    """So many frames; now and then memory is read, at rest, without what the C library hoards."""
+    """So many frames, twice.
+
+    Now and then memory is read, at rest, without what the C library hoards.
+    """
     found, began = Soak(frames), time.perf_counter()
     every = max(SELDOM, frames // SAMPLES)
-    for number in range(frames):
+    for run, number in itertools.product(range(2), range(frames)):
+        if number == 0:
+            loop.again()
         wall, busy = time.perf_counter(), time.process_time()
         changed, sound = loop()
-        found.wall[number] = time.perf_counter() - wall
-        found.busy[number] = time.process_time() - busy
-        found.did[number] = sys.intern(changed)
+        found.wall[run, number] = time.perf_counter() - wall
+        found.busy[run, number] = time.process_time() - busy
+        found.did[number] = found.did[number] or sys.intern(changed)
         found.shown[number] = loop.shown
         found.bad += not sound
-        found.most[number >= frames // 2] = max(found.most[number >= frames // 2], resident())
-        if number >= WARM_UP * frames and number % every == 0:
+        found.most[run] = max(found.most[run], resident())
+        if (run or number >= WARM_UP * frames) and number % every == 0:
             loop.rest()
             gc.collect()
             ctypes.CDLL(None).malloc_trim(0)
             found.memory.append(resident())
-            print(f"\r{number} of {frames}", end="", flush=True)
+            print(f"\r{run * frames + number} of {2 * frames}", end="", flush=True)
     print("\r", end="")
     found.seconds = time.perf_counter() - began
     return found
@@ -194,9 +211,8 @@ class OnnxLoop:
     def __init__(
         self, files: list[tuple[Path, Path]], rates: Mapping[str, float] = MappingProxyType({})
     ) -> None:
-        self.rng = random.Random(0)
         self.files, self.rates = files, {**RATES, **rates}
-        self.take()
+        self.again()
 
     def take(self, files: tuple[Path, Path] | None = None) -> None:
         """Another model."""
@@ -215,6 +231,10 @@ class OnnxLoop:
 
     def rest(self) -> None:
         self.take(self.files[0])
+
+    def again(self) -> None:
+        self.rng = random.Random(0)
+        self.take()
 
 
 class ViewerLoop:
@@ -257,12 +277,22 @@ class ViewerLoop:
     def rest(self) -> None:
         """The first character as it was first shown, in a window of the first size."""
         viewer, self.shown = self.viewer, 0
+        self.matte()
         viewer.dropped(0, 0, list(map(str, self.files[0])))
         vars(viewer.view).update(vars(self.first))
         viewer.helping = False
         self.resize(SIZE)
         viewer.step(0.0)
         viewer.show.settle(viewer.view)
+
+    def again(self) -> None:
+        self.rng = random.Random(0)
+        self.rest()
+
+    def matte(self) -> None:
+        """Nothing that other characters have not."""
+        if self.viewer.view.brdf.startswith("lobe"):
+            self.viewer.change("brdf", "matte")
 
     def light(self) -> None:
         self.viewer.change("light", self.rng.choice(list(LIGHTS)))
@@ -304,8 +334,7 @@ class ViewerLoop:
         self.viewer.window._window.dispatch_events()
 
     def another_character(self) -> None:
-        if self.viewer.view.brdf.startswith("lobe"):
-            self.viewer.change("brdf", "matte")
+        self.matte()
         files = self.rng.choice(self.files)
         self.shown = self.files.index(files)
         self.viewer.dropped(0, 0, list(map(str, files)))

@@ -91,9 +91,11 @@ def test_the_loop_of_an_engine_keeps_nothing(tmp_path):
 def test_late_frames_are_ours_if_the_process_was_busy():
     found = Soak(10)
     found.wall[:], found.busy[:] = 1.0, 0.9
-    found.wall[[2, 5, 7]], found.busy[[2, 7]] = 6.0, 5.5
+    found.wall[:, [2, 5, 7]], found.busy[:, [2, 7]] = 6.0, 5.5
     found.did[7] = "light"
-    assert found.late() == (Counter({"": 1, "light": 1}), 1)
+    assert found.late() == (Counter({"": 1, "light": 1}), 2)
+    found.wall[1, 2] = 1.0
+    assert found.late() == (Counter({"light": 1}), 3)
     found.memory = [100, 101, 99]
     assert found.spread() == pytest.approx(0.02)
 
@@ -102,16 +104,17 @@ def test_frames_are_late_beside_others_of_their_character():
     found = Soak(12)
     found.wall[:], found.busy[:] = 1.0, 1.0
     found.shown[6:] = 1
-    found.wall[6:] = found.busy[6:] = 7.0
+    found.wall[:, 6:] = found.busy[:, 6:] = 7.0
     assert found.late() == (Counter(), 0)
-    found.wall[8] = found.busy[8] = 36.0
+    found.wall[:, 8] = found.busy[:, 8] = 36.0
     assert found.late() == (Counter({"": 1}), 0)
 
 
 def test_frames_that_are_not_finite_are_counted():
     class Three:
         shown = 2
-        results = iter([("", True), ("light", False), ("", True)])
+        results = iter(2 * [("", True), ("light", False), ("", True)])
+        runs = 0
 
         def __call__(self):
             return next(self.results)
@@ -119,7 +122,11 @@ def test_frames_that_are_not_finite_are_counted():
         def rest(self):
             pass
 
-    found = soaked(3, Three())
-    assert (found.bad, found.did) == (1, ["", "light", ""])
+        def again(self):
+            self.runs += 1
+
+    loop = Three()
+    found = soaked(3, loop)
+    assert (found.bad, found.did, loop.runs) == (2, ["", "light", ""], 2)
     assert found.shown.tolist() == [2, 2, 2]
     assert np.isfinite(found.wall).all()
