@@ -171,10 +171,12 @@ def main() -> None:
     rows = [PAPER]
     for name, brdf in list(MATERIALS.items())[: 1 if quick else None]:
         encoder = Encoder(surface, seen, brdf, chosen.threads)
-        field, losses = encoder.field(encoder.clusters(MAIN), ERRORS[1])
+        found = encoder.clusters(MAIN)
+        field, losses = encoder.field(found, ERRORS[1])
         rows.append(row_of(f"{name}, m = {field.rows}", field, losses))
         print(rows[-1], encoder.rows.facts(), encoder.seconds, flush=True)
         if len(rows) == 2:
+            first = encoder, found
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
             seconds |= encoder.seconds
             publish(f"all frequency stages{full}", ("", "MB", "of raw", "squared error"),
@@ -193,14 +195,14 @@ def main() -> None:
         " lists and view factors.",
     )  # fmt: skip
     if not quick:
-        curve(Encoder(surface, seen, next(iter(MATERIALS.values())), chosen.threads))
+        curve(*first)
 
 
-def curve(encoder: Encoder) -> None:
-    """Error against bytes: several clusterings, and how much is left out."""
+def curve(encoder: Encoder, main: list[Clustered]) -> None:
+    """Error against bytes: several clusterings, of which one is there, and how much is left out."""
     rows = []
     for way in CURVE:
-        fields = encoder.fields(encoder.clusters(way), ERRORS)
+        fields = encoder.fields(main if way == MAIN else encoder.clusters(way), ERRORS)
         row: list[object] = [f"{way[0]}, {way[1]}", per_cent(fields[0][1].errors()["clustered"])]
         for field, losses in fields:
             size = sizes(field)
