@@ -156,14 +156,15 @@ def soaked(frames: int, loop: Loop) -> Soak:
         found.wall[run, number] = time.perf_counter() - wall
         found.busy[run, number] = time.process_time() - busy
         found.did[number] = found.did[number] or sys.intern(changed)
+        assert run == 0 or found.shown[number] == loop.shown, "the runs are not equal"
         found.shown[number] = loop.shown
         found.bad += not sound
         found.most[run] = max(found.most[run], resident())
-        if (run or number >= WARM_UP * frames) and number % every == 0:
+        if number % every == 0:
             loop.rest()
             gc.collect()
             ctypes.CDLL(None).malloc_trim(0)
-            found.memory.append(resident())
+            found.memory += [resident()] * bool(run or number >= WARM_UP * frames)
             print(f"\r{run * frames + number} of {2 * frames}", end="", flush=True)
     print("\r", end="")
     found.seconds = time.perf_counter() - began
