@@ -150,7 +150,7 @@ def generate(
     if cluster is None or source is None:
         task: Task = TraceBlock(plan, writer, tracer_of(scene, receivers, tangents, config))
     else:
-        task = TraceElsewhere(source.resolve(), scene.sha256, config, place(out).resolve())
+        task = TraceElsewhere(source.resolve(), scene.sha256, config, str(place(out).resolve()))
     # BLAS would start threads of its own in every worker.
     with threadpool_limits(1, user_api="blas"):
         ahead = 1 + -(-config.threads // config.block)
@@ -211,7 +211,7 @@ class TraceElsewhere:
     scene: Path
     sha256: str
     config: GenerateConfig
-    out: Path
+    out: str
 
     def __call__(self, number: int, pool: Executor) -> None:
         """Trace block ``number`` with what this process has read once."""

@@ -16,7 +16,7 @@ import safetensors.numpy
 
 from prtnet.array_file import BLOCK, array_bytes, read_arrays, write_arrays
 from prtnet.errors import MISFITS, PrtnetError
-from prtnet.places import failures, is_remote
+from prtnet.places import failures, is_remote, remote
 
 __all__ = ["read_block", "read_part", "write_block"]
 
@@ -48,11 +48,13 @@ def read_block(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     if not is_remote(path):
         return read_arrays(path, BLOCK)
     try:
-        content = path.read_bytes()
+        content = remote(path).fs.cat_file(remote(path).path)
         told = json.loads(content[PREFIX : PREFIX + int.from_bytes(content[:PREFIX], "little")])
         return json.loads(told["__metadata__"][BLOCK]), safetensors.numpy.load(content)
-    except failures(path, MISFITS) as error:
+    except (FileNotFoundError, *MISFITS) as error:
         raise PrtnetError(path, f"is missing or damaged ({error}); start again") from error
+    except failures(path) as error:
+        raise PrtnetError(path, f"cannot be read ({error}); check the store") from error
 
 
 def read_part(path: Path, name: str, rows: slice | None = None) -> Any:
@@ -71,11 +73,11 @@ def read_part(path: Path, name: str, rows: slice | None = None) -> Any:
             first, last, _ = rows.indices(own.get_shape()[0])
             # It refuses to slice nothing.
             return own[first:last] if first < last else file.get_tensor(name)[:0]
-    except failures(path, (safetensors.SafetensorError,)) as error:
-        raise PrtnetError(
-            path.parent,
-            "cannot be read on a worker; put --out where every machine sees it by this name",
-        ) from error
+    except (*failures(path), safetensors.SafetensorError) as error:
+        told = "put --out where every machine sees it by this name"
+        if is_remote(path):
+            told = f"check the store ({error})"
+        raise PrtnetError(path.parent, f"cannot be read on a worker; {told}") from error
 
 
 def remote_part(path: Any, name: str, rows: slice | None) -> Any:

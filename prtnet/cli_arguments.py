@@ -20,7 +20,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from prtnet.errors import PrtnetError
-from prtnet.places import failures, is_remote
+from prtnet.places import failures, is_remote, there
 
 __all__ = [
     "check_output",
@@ -187,10 +187,10 @@ def input_file(path: Path, folder: bool = False) -> Path:
         PrtnetError: there is nothing of that name, or it is a folder.
     """
     try:
-        there = path.exists()
+        known = there(path)
     except failures(path) as error:
         raise PrtnetError(path, f"cannot be reached ({error}); check the address") from error
-    if not there:
+    if not known:
         raise PrtnetError(path, "does not exist; check the name")
     if is_remote(path):
         return path
@@ -279,7 +279,7 @@ def pictures_folder(path: Path) -> None:
 def check_writable(path: Path) -> None:
     """Refuse a file or folder that the operating system will not let us write."""
     parent = path.absolute().parent
-    if re.match(r"\w{2,}:/", str(path)) and not parent.exists():
+    if re.match(r"[\w+.-]{2,}:[/\\]", str(path)) and not parent.exists():
         raise PrtnetError(path, "is a URL; only datasets may be in a store, give a file's name")
     if not parent.is_dir():
         raise PrtnetError(path, f"cannot be written (there is no folder {parent}); make it first")

@@ -20,8 +20,8 @@ import zarr
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.dataset_checks import check_attributes, check_fit, check_folder, check_stored
-from prtnet.errors import MISFITS, PrtnetError
-from prtnet.places import children, failures, place, store
+from prtnet.errors import PrtnetError
+from prtnet.places import children, damage, failures, place, store, there
 
 __all__ = [
     "FORMAT_VERSION",
@@ -35,8 +35,6 @@ __all__ = [
 
 FORMAT_VERSION = 1
 SAMPLED = "sampled"  # the name of the clip that sampled poses belong to
-# What Zarr and Blosc make of damage: sizes below zero, or more than there is memory, among it.
-UNREADABLE = (OSError, RuntimeError, SystemError, MemoryError, *MISFITS)
 MADE_WITH = "made_with"  # attribute: versions of what made it
 HEADERS = "headers_sha256"  # attribute: of every array's zarr.json, and of the other attributes
 SELF = "attributes"  # the name of those among HEADERS
@@ -71,8 +69,8 @@ class Block:
 class Rows:
     """An array of a dataset, read by pose: ``rows[3]``, ``rows[8:16]`` or ``rows[[1, 5]]``."""
 
-    def __init__(self, array: zarr.Array[Any], path: Path) -> None:
-        self._array, self._path = array, path
+    def __init__(self, array: zarr.Array[Any], path: Path, seal: bytes) -> None:
+        self._array, self._path, self._seal = array, path, seal
         self.shape: tuple[int, ...] = array.shape
         self.dtype = array.dtype
 
@@ -82,9 +80,15 @@ class Rows:
     def __getitem__(self, index: int | slice | IntArray) -> Any:
         try:
             if isinstance(index, (int, slice)):
-                return np.asarray(self._array[index])
-            return np.asarray(self._array.oindex[np.arange(len(self))[index]])
-        except UNREADABLE as error:
+                found = np.asarray(self._array[index])
+            else:
+                found = np.asarray(self._array.oindex[np.arange(len(self))[index]])
+            if sealed(self._path) != self._seal:
+                raise PrtnetError(self._path, "was replaced while it was read; start again")
+            return found
+        except PrtnetError:
+            raise
+        except damage(self._path) as error:
             raise PrtnetError(self._path, self.complaint(index)) from error
         except failures(self._path) as error:
             raise out_of_reach(self._path, error) from error
@@ -93,12 +97,21 @@ class Rows:
         """Which blocks are damaged among those that hold these poses, and what to do about it."""
         size = self._array.chunks[0]
         blocks = np.unique(np.atleast_1d(np.arange(len(self))[index]) // size)
-        lost = failures(self._path, UNREADABLE)
+        lost = damage(self._path)
         bad = [block for block in blocks.tolist() if not readable(self._array, block, lost)]
         where = f" in block {', '.join(map(str, bad[:8]))}{', ...' * (len(bad) > 8)}"
         if self._array.basename not in POSE_ARRAYS or not bad:
             where = ""
         return f"array '{self._array.basename}' is damaged{where}; {MEND}"
+
+
+def sealed(path: Path) -> bytes:
+    """The header of a dataset, which goes first and comes last when the dataset is replaced.
+
+    Zarr reads zeros where a chunk is gone.
+    """
+    header = header_of(path, "")
+    return header.read_bytes() if there(header) else b""
 
 
 def out_of_reach(path: Path, error: Exception) -> PrtnetError:
@@ -115,7 +128,7 @@ def readable(array: zarr.Array[Any], block: int, lost: tuple[type[Exception], ..
     Args:
         array: of a dataset.
         block: of poses.
-        lost: what reading raises where it is damaged or out of reach.
+        lost: what reading raises where it is damaged.
     """
     size = array.chunks[0]
     try:
@@ -127,7 +140,7 @@ def readable(array: zarr.Array[Any], block: int, lost: tuple[type[Exception], ..
 
 def header_sums(folder: Path, attributes: Mapping[str, Any]) -> dict[str, str]:
     """SHA-256 of the headers of all arrays in a group's folder, and of its attributes."""
-    names = sorted(path.name for path in children(folder) if header_of(path, "").is_file())
+    names = sorted(path.name for path in children(folder) if there(header_of(path, "")))
     sums = {
         name: hashlib.sha256(header_of(folder, name).read_bytes()).hexdigest() for name in names
     }
@@ -152,8 +165,8 @@ def opened(path: Path) -> zarr.Group:
         # Headers of arrays within the group's own have no checksum: they are not looked at.
         group = zarr.open_group(store(path), mode="r", zarr_format=3, use_consolidated=False)
         attributes: dict[str, Any] = dict(group.attrs)
-    except UNREADABLE as error:
-        if all(header_of(path, name).is_file() for name in POSE_ARRAYS):
+    except damage(path) as error:
+        if all(there(header_of(path, name)) for name in POSE_ARRAYS):
             raise PrtnetError(path, f"its zarr.json is damaged; {MEND}") from error
         raise PrtnetError(path, "is not a dataset; make one with prtnet generate") from error
     version = attributes.get("format_version")
@@ -219,7 +232,7 @@ class Dataset:
     joint_parents: IntArray | None  # [J]
 
     def __init__(self, path: Path, group: zarr.Group) -> None:
-        self.path = path
+        self.path, self._seal = path, sealed(path)
         self.attributes: dict[str, Any] = dict(group.attrs)
         self.joint_weights = self.joint_parents = None
         for name in ATTRIBUTES:
@@ -247,10 +260,10 @@ class Dataset:
         """
         path = place(path)
         try:
-            there = path.exists()
+            known = there(path)
         except failures(path) as error:
             raise PrtnetError(path, f"cannot be reached ({error}); check the address") from error
-        if not there:
+        if not known:
             raise PrtnetError(path, "does not exist; make it with prtnet generate")
         try:
             return cls(path, opened(path))
@@ -258,14 +271,14 @@ class Dataset:
             raise
         except KeyError as error:
             raise PrtnetError(path, f"has no {error}; generate it again") from error
-        except UNREADABLE as error:
+        except damage(path) as error:
             raise PrtnetError(path, f"does not fit together ({error}); {MEND}") from error
         except failures(path) as error:
             raise out_of_reach(path, error) from error
 
     def rows(self, name: str) -> Rows:
         """One of the arrays whose leading axis is the pose."""
-        return Rows(self._arrays[name], self.path)
+        return Rows(self._arrays[name], self.path, self._seal)
 
     def read(self, name: str, index: int | slice | IntArray | None = None) -> Any:
         """The poses ``index`` of an array, or all of it."""

@@ -18,7 +18,6 @@ from prtnet.dataset import (
     HEADERS,
     POSE_ARRAYS,
     SELF,
-    UNREADABLE,
     Block,
     array_of,
     header_of,
@@ -28,7 +27,7 @@ from prtnet.dataset import (
 from prtnet.dataset_checks import check_folder
 from prtnet.dataset_writer import DatasetWriter, create, writable
 from prtnet.errors import PrtnetError
-from prtnet.places import failures, place, put, remove_place, sizes, store
+from prtnet.places import damage, place, put, remove_place, sizes, store, there
 
 __all__ = ["DatasetRepair"]
 
@@ -58,7 +57,9 @@ class DatasetRepair(DatasetWriter):
         self.path = place(path).resolve()
         self.poses, self.block = poses, block
         self.mended: list[str] = []
-        if not header_of(self.path, "").is_file():
+        with self._disk():
+            known = there(header_of(self.path, ""))
+        if not known:
             raise PrtnetError(path, "is no dataset to repair; leave out --repair to make it")
         check_folder(self.path)
         sound = self.path.with_name(f".{self.path.name}.repair")
@@ -85,7 +86,7 @@ class DatasetRepair(DatasetWriter):
             found: dict[str, Any] = dict(group.attrs)
             known = header_sums(self.path, found)[SELF]
             intact = found[HEADERS][SELF] == known
-        except failures(self.path, UNREADABLE):
+        except damage(self.path):
             intact = False
         if intact:
             other = sorted(
@@ -100,7 +101,7 @@ class DatasetRepair(DatasetWriter):
                 )
         # The header of this array has the fingerprint of everything that decides the content.
         told = header_of(self.path, "visibility")
-        same = told.is_file() and told.read_bytes() == header_of(sound, "visibility").read_bytes()
+        same = there(told) and told.read_bytes() == header_of(sound, "visibility").read_bytes()
         if not (intact or same):
             raise PrtnetError(
                 self.path, "was made with other options, or too much is damaged; generate it again"
@@ -110,7 +111,7 @@ class DatasetRepair(DatasetWriter):
         """Put the headers and fixed arrays of ``sound`` where the dataset's differ from them."""
         for name in sorted(sizes(sound)):
             file, own = sound / name, self.path / name
-            if not own.is_file() or own.read_bytes() != file.read_bytes():
+            if not there(own) or own.read_bytes() != file.read_bytes():
                 own.parent.mkdir(parents=True, exist_ok=True)
                 put(file, own)
                 self.mended.append(name)
@@ -119,8 +120,7 @@ class DatasetRepair(DatasetWriter):
         """Whether a block of an array is there and has its checksum."""
         array = array_of(self._group, name)
         key = array.metadata.encode_chunk_key((number, *(0,) * (array.ndim - 1)))
-        there = (self.path / name / key).is_file()
-        return there and readable(array, number, failures(self.path, UNREADABLE))
+        return there(self.path / name / key) and readable(array, number, damage(self.path))
 
     def missing(self) -> list[int]:
         """Blocks of which an array is damaged or missing."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,17 @@ from prtnet.dataset import (
     header_sums,
 )
 from prtnet.errors import PrtnetError
-from prtnet.places import children, failures, is_remote, place, publish, remove_place, store
+from prtnet.places import (
+    COPYING,
+    children,
+    failures,
+    is_remote,
+    place,
+    publish,
+    remove_place,
+    store,
+    there,
+)
 
 __all__ = ["MARKERS", "DatasetWriter"]
 
@@ -62,16 +73,17 @@ class DatasetWriter:
     ) -> None:
         self.path = place(path).resolve()
         self.poses, self.block = poses, block
-        self.partial = self.path.with_name(f".{self.path.name}.partial")
-        self._markers = self.partial / MARKERS
-        with self._disk():
-            self._require_own()
         fingerprint = fingerprint_of(attributes, fixed, poses, block)
+        # Of these options alone: what another run has still under way must not end up in this one.
+        self.partial = self.path.with_name(f".{self.path.name}.{fingerprint[:12]}.partial")
+        self._markers = self.partial / MARKERS
+        self._started = self._markers / fingerprint
         with self._disk():
             if not (is_remote(self.path) or self.path.parent.is_dir()):
                 raise FileNotFoundError(2, f"the folder {self.path.parent} does not exist")
-            started = self._markers / fingerprint
-            self.resumed = started.exists()
+            left = self._left()
+            half = self._require_own(left)
+            self.resumed = there(self._started)
             if self.resumed:
                 self._group = zarr.open_group(store(self.partial), mode="r+", zarr_format=3)
                 return
@@ -81,17 +93,27 @@ class DatasetWriter:
                     "is not being written as here: this machine sees another folder or scene, or "
                     "has other versions of the packages; make them the same",
                 )
-            remove_place(self._markers)  # first: nobody may go on with what is half deleted
-            remove_place(self.partial)
+            if half:
+                remove_place(self.path)
+            for other in left:
+                remove_place(other / MARKERS)  # nobody may go on with what is half deleted
+                remove_place(other)
             self._group = create(self.partial, attributes, fixed, poses, block)
             self._markers.mkdir(exist_ok=True)
-            started.touch()
+            self._started.touch()
 
-    def _require_own(self) -> None:
-        """Refuse to replace what is no dataset, nor one half copied by a run that was killed."""
-        whole = not self.path.exists() or (self.path / "zarr.json").is_file()
-        if not (whole or (is_remote(self.path) and self._markers.exists())):
+    def _left(self) -> list[Path]:
+        """What runs of any options left that were stopped."""
+        name = re.compile(rf"\.{re.escape(self.path.name)}\.[0-9a-f]{{12}}\.partial")
+        return [path for path in children(self.path.parent) if name.fullmatch(path.name)]
+
+    def _require_own(self, left: Sequence[Path]) -> bool:
+        """Refuse to replace what is no dataset; whether it is one that is copied by half."""
+        if not there(self.path) or there(self.path / "zarr.json"):
+            return False
+        if not any(there(other / MARKERS / COPYING) for other in left):
             raise PrtnetError(self.path, "exists and is not a dataset; give another --out")
+        return True
 
     @property
     def blocks(self) -> int:
@@ -109,14 +131,26 @@ class DatasetWriter:
         return [block for block in range(self.blocks) if str(block) not in written]
 
     def write(self, block: int, values: Block) -> None:
-        """Write one block, and then its marker. Different blocks may be written at once."""
+        """Write one block, and then its marker. Different blocks may be written at once.
+
+        Raises:
+            PrtnetError: it cannot be written, or another run has taken the folder's place.
+        """
         with self._disk():
+            if not there(self._started):
+                raise self._elsewhere()
             for name in POSE_ARRAYS:
                 writable(self._group, name)[self.span(block)] = getattr(values, name)
             self._marker(block).touch()
 
     def finish(self) -> Path:
-        """Put the dataset under its final name, replacing what stood there."""
+        """Put the dataset under its final name, replacing what stood there.
+
+        Raises:
+            PrtnetError: it cannot be written, or blocks are missing.
+        """
+        if self.missing():
+            raise self._elsewhere()
         with self._disk():
             self._clear(self.partial)
             publish(self.partial, self.path, "zarr.json", MARKERS)
@@ -126,6 +160,10 @@ class DatasetWriter:
         """Delete what Zarr had begun to write when it was killed; stores take files whole."""
         for left in () if is_remote(folder) else folder.rglob("*.partial"):
             left.unlink()
+
+    def _elsewhere(self) -> PrtnetError:
+        what = "was finished or begun anew by another run meanwhile"
+        return PrtnetError(self.path, f"{what}; look at it, or repeat the command")
 
     def _marker(self, block: int) -> Path:
         return self._markers / str(block)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextvars import ContextVar, copy_context
@@ -24,7 +25,7 @@ from prtnet.block_files import read_block, read_part, write_block
 from prtnet.cores import core_count
 from prtnet.errors import PrtnetError
 from prtnet.executor import Tasks, executor
-from prtnet.places import children, failures, is_remote, remove_place
+from prtnet.places import children, failures, is_remote, place, remove_place
 from prtnet.provenance import made_with
 
 __all__ = ["Exchange", "Given", "Result", "Work", "elsewhere", "exchange", "in_parallel", "through"]
@@ -48,6 +49,10 @@ class Given:
 
     path: Path
 
+    def __reduce__(self) -> tuple[Callable[[str], Given], tuple[str]]:
+        """A name: each machine has its own way to a store."""
+        return given_at, (str(self.path),)
+
     def __getitem__(self, name: str) -> Any:
         """A whole array; errors as of :meth:`part`."""
         return self.part(name)
@@ -59,6 +64,11 @@ class Given:
             PrtnetError: this machine does not see the file.
         """
         return read_part(self.path, name, rows)
+
+
+def given_at(name: str) -> Given:
+    """What has arrived."""
+    return Given(place(name))
 
 
 class Work(Protocol):
@@ -207,7 +217,8 @@ def whole(path: Path) -> bool:
     try:
         read_block(path)
     except PrtnetError:
-        path.unlink(missing_ok=True)
+        if not is_remote(path):
+            path.unlink(missing_ok=True)
         return False
     return True
 
@@ -217,12 +228,15 @@ def elsewhere(
 ) -> contextlib.AbstractContextManager[None]:
     """What is handed to a Dask cluster, as :func:`through`; nothing where its address is None.
 
-    The folder is a hidden one beside ``out``, or beside ``data`` where that is in a store.
+    The folder is a hidden one beside ``out``, or beside ``data`` where that is in a store: there by
+    a name of this machine's output alone.
     """
     if address is None:
         return contextlib.nullcontext()
-    beside = data if data is not None and is_remote(data) else out
-    folder = beside.with_name(f".{out.name}.blocks")
+    folder = out.with_name(f".{out.name}.blocks")
+    if data is not None and is_remote(data):
+        own = hashlib.sha256(f"{platform.node()}:{out.resolve()}".encode()).hexdigest()[:8]
+        folder = data.with_name(f".{out.name}.{own}.blocks")
     return through(executor(address, 1, packages), folder, packages)
 
 

@@ -11,14 +11,19 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
+from urllib.parse import unquote, urlsplit
 
-from prtnet.errors import PrtnetError
+from prtnet.errors import MISFITS, PrtnetError
 from prtnet.files import finish, remove
 
 __all__ = [
-    "children", "failures", "is_folder", "is_remote", "place", "publish", "put", "remove_place",
-    "sizes", "store",
+    "COPYING", "children", "damage", "failures", "is_folder", "is_remote", "place", "publish",
+    "put", "remote", "remove_place", "sizes", "store", "there",
 ]  # fmt: skip
+
+# What Zarr and Blosc make of damage: sizes below zero, or more than there is memory, among it.
+DAMAGE: tuple[type[Exception], ...] = (RuntimeError, SystemError, MemoryError, *MISFITS)
+COPYING = "copying"  # this file says that a folder's copy under its final name may be half there
 
 
 def place(name: str | Path) -> Path:
@@ -29,6 +34,8 @@ def place(name: str | Path) -> Path:
     """
     if not isinstance(name, str):
         return name
+    if name.startswith(("file://", "local://")):
+        return Path(unquote(urlsplit(name).path))
     if "://" not in name:
         return Path(name)
     try:
@@ -36,28 +43,32 @@ def place(name: str | Path) -> Path:
     except ImportError as error:
         raise PrtnetError(name, "needs the extra: pip install 'prtnet[remote]'") from error
     try:
-        own: Any = {"auto_mkdir": True} if name.startswith(("file:", "local:")) else {}
-        found = UPath(name, **own)
-        found.fs  # noqa: B018 - connects, or tells which package is missing
+        found = UPath(name)
+        # Connects, or tells which package is missing. What it lists is not to be remembered: other
+        # machines write there, and some clients take a file for absent that an old list has not.
+        found.fs.dircache.use_listings_cache = False
+        found.fs.invalidate_cache()
     except (ImportError, ValueError) as error:
         raise PrtnetError(name, f"cannot be reached ({error})") from error
     except Exception as error:  # every store has exceptions of its own
         raise PrtnetError(name, f"cannot be reached ({error}); check the address") from error
+    if not found.name:
+        raise PrtnetError(name, "is all of a store; name a folder in it")
     return cast(Path, found)
 
 
 def is_remote(path: Path) -> bool:
-    """Whether a place is named by a URL."""
+    """Whether a place is in a store."""
     return not isinstance(path, Path)
 
 
 def is_folder(path: Path) -> bool:
-    """Whether it holds files; what has a URL is a dataset or of no use here."""
+    """Whether it holds files; what is in a store is a dataset or of no use here."""
     return is_remote(path) or path.is_dir()
 
 
 def remote(path: Path) -> Any:
-    """A place by its other type."""
+    """A place in a store by its other type, which also has ``fs`` and the ``path`` in that."""
     return path
 
 
@@ -66,16 +77,34 @@ def store(path: Path) -> Any:
     return remote(path).fs.get_mapper(remote(path).path) if is_remote(path) else str(path)
 
 
-def failures(path: Path, besides: tuple[type[Exception], ...] = ()) -> tuple[type[Exception], ...]:
+def failures(path: Path) -> tuple[type[Exception], ...]:
     """What reading and writing there may raise; clients of stores have exceptions of their own."""
-    return (Exception,) if is_remote(path) else (OSError, *besides)
+    return (Exception,) if is_remote(path) else (OSError,)
 
 
-def fresh(path: Path) -> Path:
-    """The same place, where what other machines did meanwhile is seen."""
-    if is_remote(path):
-        remote(path).fs.invalidate_cache()
-    return path
+def damage(path: Path) -> tuple[type[Exception], ...]:
+    """What reading raises where something is damaged: of a store no refusal, and no silence."""
+    return (FileNotFoundError if is_remote(path) else OSError, *DAMAGE)
+
+
+def there(path: Path) -> bool:
+    """Whether there is such a file or folder; of a store no failure is taken for a no.
+
+    Raises:
+        Exception: whatever a store's client does where it cannot tell.
+    """
+    if not is_remote(path):
+        return path.exists()
+    try:
+        remote(path).fs.info(remote(path).path)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
+
+
+def children(folder: Path) -> Iterator[Path]:
+    """What is in a folder; nothing where there is none."""
+    return folder.iterdir() if there(folder) else iter(())
 
 
 def sizes(folder: Path) -> dict[str, int]:
@@ -92,7 +121,7 @@ def remove_place(path: Path) -> None:
     """Delete a file or folder; nothing happens where there is none."""
     if not is_remote(path):
         remove(path)
-    elif fresh(path).exists():
+    elif there(path):
         remote(path).fs.rm(remote(path).path, recursive=True)
 
 
@@ -114,16 +143,18 @@ def publish(partial: Path, final: Path, last: str, besides: str) -> None:
         final: its name.
         last: the file that makes a folder what it is.
         besides: a folder in it that is left out: until nothing else is to be done, a killed run
-            must find it.
+            must find it. While a store copies there is a file ``COPYING`` in it.
     """
     if not is_remote(final):
         finish(partial, final)
         remove(final / besides)
         return
     fs, own, other = remote(final).fs, remote(partial).path, remote(final).path
-    found = (name for name in sizes(fresh(partial)) if not name.startswith(f"{besides}/"))
+    found = (name for name in sizes(partial) if not name.startswith(f"{besides}/"))
     names = [*sorted({*found} - {last}), last]
-    (final / last).unlink(missing_ok=True)
+    (partial / besides / COPYING).touch()
+    if there(final / last):
+        (final / last).unlink()
     remove_place(final)
     for folder in sorted({os.path.dirname(name) for name in names}):
         fs.makedirs(f"{other}/{folder}".rstrip("/"), exist_ok=True)
@@ -131,8 +162,3 @@ def publish(partial: Path, final: Path, last: str, besides: str) -> None:
         fs.copy([f"{own}/{name}" for name in some], [f"{other}/{name}" for name in some])
     remove_place(partial / besides)  # nobody goes on with what is half deleted
     remove_place(partial)
-
-
-def children(folder: Path) -> Iterator[Path]:
-    """What is in a folder, as it is now; nothing where there is none."""
-    return fresh(folder).iterdir() if folder.exists() else iter(())

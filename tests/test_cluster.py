@@ -26,6 +26,7 @@ from prtnet.cli import run
 from prtnet.errors import PrtnetError
 from prtnet.exchange import through
 from prtnet.executor import Cluster, Task
+from tests import store as _store  # noqa: F401 - registers farm://
 from tests.training.data import memory_dataset
 from training.config import TrainConfig
 from training.train import PACKAGES, train
@@ -37,8 +38,9 @@ CONFIG = GenerateConfig(count=24, rays=64, order=3, threads=1, block=1)
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
+        preload=["tests.store"],
+    ) as cluster:  # fmt: skip
         yield cluster
 
 
@@ -97,10 +99,11 @@ def test_the_command(cluster: Any, scene: Path, tmp_path: Path) -> None:
 
 
 @CAN_KILL
+@pytest.mark.filterwarnings("ignore:UPath 'farm' filesystem")
 def test_a_dataset_in_a_store(cluster: Any, scene: Path, tmp_path: Path) -> None:
     """Workers and we see it by its URL alone; what train hands over lies beside it."""
     (tmp_path / "here").mkdir()
-    url = f"file://{tmp_path}/farm/a.zarr"
+    url = f"farm://{tmp_path}/farm/a.zarr"
     where: Any = {"cluster": cluster.scheduler_address, "source": scene}
 
     def kill_one(done: int, _: int) -> None:

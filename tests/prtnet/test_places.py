@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zarr
 
 from prtnet.block_files import read_block, read_part, write_block
 from prtnet.cli import run
@@ -18,13 +18,23 @@ from prtnet.dataset import POSE_ARRAYS, Dataset
 from prtnet.dataset_repair import DatasetRepair
 from prtnet.dataset_writer import MARKERS
 from prtnet.errors import PrtnetError
-from prtnet.places import children, is_remote, place
+from prtnet.places import children, is_remote, place, there
+from tests import store as _store  # noqa: F401 - registers farm://
 from tests.prtnet import test_dataset
 from tests.prtnet.test_dataset import ATTRIBUTES, BLOCK, POSES, fixed, part, whole, writer
 
+pytestmark = pytest.mark.filterwarnings("ignore:UPath 'farm' filesystem")
 memory = pytest.importorskip("fsspec.implementations.memory")
 pytest.importorskip("upath", reason="needs the extra 'remote'")
 NUMBER = itertools.count()
+
+
+class Killed(BaseException):
+    """No error: the process is gone."""
+
+
+class GoneError(Exception):
+    """Of a client that has exceptions of its own."""
 
 
 @pytest.fixture
@@ -33,6 +43,12 @@ def farm() -> Iterator[Path]:
     folder = place(f"memory://farm{next(NUMBER)}/deep")
     yield folder
     memory.MemoryFileSystem.store.clear()
+
+
+@pytest.fixture(params=["memory", "farm"])
+def either(request: pytest.FixtureRequest, farm: Path, tmp_path: Path) -> Path:
+    """The same, or one whose clients remember what they listed."""
+    return farm if request.param == "memory" else place(f"farm://{tmp_path}/store")
 
 
 def contents(folder: Any) -> dict[str, bytes]:
@@ -53,26 +69,84 @@ def repair(path: Path, **attributes: object) -> list[str]:
     return book.mended
 
 
-def test_the_same_bytes_as_in_a_folder(farm: Path, tmp_path: Path) -> None:
-    far, near = test_dataset.write(farm / "set.zarr"), test_dataset.write(tmp_path / "set.zarr")
+def test_the_same_bytes_as_in_a_folder(either: Path, tmp_path: Path) -> None:
+    far, near = test_dataset.write(either / "set.zarr"), test_dataset.write(tmp_path / "set.zarr")
     for name in POSE_ARRAYS:
         np.testing.assert_array_equal(far.read(name, slice(3, 9)), near.read(name, slice(3, 9)))
     files = (path for path in near.path.rglob("*") if path.is_file())
     own = {path.relative_to(near.path).as_posix(): path.read_bytes() for path in files}
     assert contents(far.path) == own
+    assert names(either) == ["set.zarr"]
+
+
+@pytest.mark.parametrize("remote", [False, True])
+def test_an_equal_writer_goes_on_and_another_starts_over(
+    either: Path, tmp_path: Path, remote: bool
+) -> None:
+    path = (either if remote else tmp_path) / "set.zarr"
+    first = writer(path)
+    first.write(1, part(whole(), first.span(1)))
+    assert not there(path)
+    assert writer(path).missing() == [0, 2]
+    second = writer(path, rays=65)
+    assert second.missing() == [0, 1, 2]
+    with pytest.raises(PrtnetError, match="begun anew by another run"):
+        first.write(0, part(whole(), first.span(0)))  # a task that nobody has told
+    assert second.missing() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("remote", [False, True])
+def test_two_equal_runs_lose_nothing(either: Path, tmp_path: Path, remote: bool) -> None:
+    path = (either if remote else tmp_path) / "set.zarr"
+    books = writer(path), writer(path)
+    for block in books[0].missing():
+        for book in books:
+            book.write(block, part(whole(), book.span(block)))
+    books[0].finish()
+    with pytest.raises(PrtnetError, match="was finished or begun anew by another run"):
+        books[1].finish()
+    np.testing.assert_array_equal(Dataset.open(path).read("pose"), whole().pose)
+
+
+@pytest.mark.parametrize("remote", [False, True])
+def test_who_reads_a_dataset_that_is_replaced_is_told(
+    either: Path, tmp_path: Path, remote: bool
+) -> None:
+    dataset = test_dataset.write((either if remote else tmp_path) / "set.zarr")
+    assert dataset.read("pose").any()
+    test_dataset.write(dataset.path, rays=65)
+    with pytest.raises(PrtnetError, match="was replaced while it was read; start again"):
+        dataset.read("pose")
+    (dataset.path / "zarr.json").unlink()
+    with pytest.raises(PrtnetError, match="was replaced while it was read; start again"):
+        dataset.read("pose", slice(2))
+
+
+def test_a_restart_with_other_options_that_is_killed_while_it_begins(
+    farm: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a run that was killed while it copied."""
+    path = farm / "set.zarr"
+    book = writer(path)
+    for block in book.missing():
+        book.write(block, part(whole(), book.span(block)))
+    with monkeypatch.context() as patch:
+        patch.setattr(memory.MemoryFileSystem, "_rm", gone)
+        patch.setattr(memory.MemoryFileSystem, "cp_file", gone)
+        with pytest.raises(PrtnetError, match="nobody answers"):
+            book.finish()
+    (path / "pose").mkdir(parents=True, exist_ok=True)
+    (path / "pose" / "zarr.json").write_text("half")
+    with monkeypatch.context() as patch:
+        patch.setattr("prtnet.dataset_writer.create", killed)
+        with pytest.raises(Killed):
+            writer(path, rays=65)
+    assert test_dataset.write(path).rays == ATTRIBUTES["rays"]
     assert names(farm) == ["set.zarr"]
 
 
-def test_an_equal_writer_goes_on_and_another_starts_over(farm: Path) -> None:
-    first = writer(farm / "set.zarr")
-    first.write(1, part(whole(), first.span(1)))
-    assert not (farm / "set.zarr").exists()
-    assert writer(farm / "set.zarr").missing() == [0, 2]
-    assert writer(farm / "set.zarr", rays=65).missing() == [0, 1, 2]
-
-
-class Killed(BaseException):
-    """No error: the process is gone."""
+def killed(*_: Any) -> Any:
+    raise Killed
 
 
 @pytest.mark.parametrize("old", [False, True])
@@ -136,12 +210,17 @@ def test_damage_is_named_and_mended(farm: Path) -> None:
         Dataset.open(path)
 
 
-def test_an_array_that_claims_more_than_its_files_hold(farm: Path) -> None:
-    path = test_dataset.write(farm / "set.zarr", made_with={}).path
-    for chunk in list((path / "visibility").rglob("c/*/0/0")):
-        chunk.write_bytes(b"")
-    with pytest.raises(PrtnetError, match="repeat the prtnet generate"):
-        Dataset.open(path).read("visibility")
+def test_an_array_that_claims_more_than_its_files_hold(
+    farm: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = test_dataset.write(farm / "set.zarr").path
+    monkeypatch.setattr("prtnet.dataset_checks.SMALL", 0)
+    monkeypatch.setattr("prtnet.dataset_checks.LARGEST_RATIO", 1)
+    Dataset.open(path)
+    for name in [name for name in contents(path) if name.startswith("visibility/c/")]:
+        (path / name).write_bytes(b"")
+    with pytest.raises(PrtnetError, match=r"visibility claims 1152 bytes, in files of \d+"):
+        Dataset.open(path)
 
 
 def test_what_is_no_dataset_is_left_alone(farm: Path) -> None:
@@ -157,22 +236,28 @@ def test_what_is_no_dataset_is_left_alone(farm: Path) -> None:
         repair(farm / "none.zarr")
 
 
-class GoneError(Exception):
-    """Of a client that has exceptions of its own."""
-
-
-@pytest.mark.parametrize("steps", ["cat_file", "find", "cat_file info find exists _open"])
+@pytest.mark.parametrize("kind", [GoneError, PermissionError, TimeoutError])
+@pytest.mark.parametrize("steps", ["cat_file", "info", "find", "cat_file info find exists _open"])
 def test_a_store_that_fails_when_read_says_so_in_a_line(
-    farm: Path, monkeypatch: pytest.MonkeyPatch, steps: str
+    farm: Path, monkeypatch: pytest.MonkeyPatch, steps: str, kind: type[Exception]
 ) -> None:
-    path = test_dataset.write(farm / "set.zarr").path
+    """And not that something was damaged."""
+
+    def fails(*_: Any, **__: Any) -> Any:
+        raise kind("nobody answers")
+
+    dataset = test_dataset.write(farm / "set.zarr")
     for step in steps.split():
-        monkeypatch.setattr(memory.MemoryFileSystem, step, gone)
-    with pytest.raises(PrtnetError, match=re.escape(str(path)) + r": .*\(nobody answers\)"):
-        Dataset.open(path).read("pose")
+        monkeypatch.setattr(memory.MemoryFileSystem, step, fails)
+    told = r"set.zarr: cannot be re(ad|ached) \(nobody answers\); check the"
+    with pytest.raises(PrtnetError, match=told):
+        Dataset.open(dataset.path)
+    monkeypatch.setattr(zarr.Array, "__getitem__", fails)
+    with pytest.raises(PrtnetError, match=told):
+        dataset.read("pose")
 
 
-@pytest.mark.parametrize("step", ["pipe_file", "find", "cp_file", "_open"])
+@pytest.mark.parametrize("step", ["pipe_file", "info", "find", "cp_file", "_open"])
 def test_a_store_that_fails_when_written_says_so_in_a_line(
     farm: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
@@ -192,6 +277,12 @@ def test_addresses_that_lead_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(PrtnetError, match=r"memory://x: needs the extra: pip install"):
         place("memory://x")
     assert not is_remote(place("a/b.zarr"))
+    assert place("file:///a%20b/c.zarr") == Path("/a b/c.zarr")
+
+
+def test_all_of_a_store_is_no_dataset() -> None:
+    with pytest.raises(PrtnetError, match="memory://: is all of a store; name a folder in it"):
+        place("memory://")
 
 
 @pytest.mark.parametrize("rows", [None, slice(None), slice(2, 5), slice(4, 99), slice(7, 7)])

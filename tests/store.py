@@ -1,0 +1,62 @@
+"""A store that several processes see, whose clients remember what they listed, as s3fs does."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import fsspec
+from fsspec.implementations.local import LocalFileSystem
+
+__all__ = ["Farm"]
+
+
+class Farm(LocalFileSystem):  # type: ignore[misc]
+    """``farm:///folder`` is that folder of this machine; files are put there whole."""
+
+    protocol = "farm"
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(auto_mkdir=True, **options)
+
+    @classmethod
+    def _strip_protocol(cls, path: Any) -> str:
+        return super()._strip_protocol(os.fspath(path).removeprefix("farm://"))
+
+    def unstrip_protocol(self, name: str) -> str:
+        return f"farm://{self._strip_protocol(name)}"
+
+    def ls(self, path: str, detail: bool = False, **_: Any) -> Any:
+        folder = self._strip_protocol(path)
+        if folder not in self.dircache:
+            self.dircache[folder] = super().ls(folder, detail=True)
+        if folder not in self.dircache:  # nothing is to be remembered
+            return super().ls(folder, detail=detail)
+        found = self.dircache[folder]
+        return found if detail else [each["name"] for each in found]
+
+    def info(self, path: str, **options: Any) -> Any:
+        own = self._strip_protocol(path)
+        folder = os.path.dirname(own)
+        if folder in self.dircache and own not in {e["name"] for e in self.dircache[folder]}:
+            raise FileNotFoundError(own)
+        return super().info(own, **options)
+
+    def exists(self, path: str, **_: Any) -> bool:
+        try:
+            self.info(path)
+        except FileNotFoundError:
+            return False
+        return True
+
+    def pipe_file(self, path: str, value: bytes, **_: Any) -> None:
+        own = self._strip_protocol(path)
+        os.makedirs(os.path.dirname(own), exist_ok=True)
+        partial = f"{own}.{os.getpid()}"
+        with open(partial, "wb") as file:
+            file.write(value)
+        os.replace(partial, own)
+        self.dircache.pop(os.path.dirname(own), None)
+
+
+fsspec.register_implementation("farm", Farm, clobber=True)
