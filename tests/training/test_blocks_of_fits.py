@@ -82,7 +82,7 @@ def test_other_versions_begin_anew(tmp_path, monkeypatch):
     x, t = problem(clusters=4)
     for version, done in (("1", 1), ("1", 0), ("2", 1)):
         monkeypatch.setattr(exchange, "made_with", lambda *_, version=version: {"torch": version})
-        monkeypatch.setattr(exchange, "remove", lambda _: None)
+        monkeypatch.setattr(exchange, "remove_place", lambda _: None)
         tasks = Counting()
         with through(tasks, tmp_path):
             fit_neural(x, t, 3, 1e-3, 4)
