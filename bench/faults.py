@@ -41,7 +41,7 @@ STEPS = ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "o
 NEEDS_ROOM = ("open", "os.mkdir")
 MAKES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 ROOM = 256 << 20  # bytes of a disk that is large enough
-PRELOAD = ("prtnet.cli_bake", "prtnet.cli_bake_all_frequency", "training.all_frequency", "upath",
+PRELOAD = ("tests.store", "prtnet.cli_bake", "prtnet.cli_bake_all_frequency", "training.all_frequency", "upath",
            "training.train", "prtnet.lobe_fit", "data_gen.generate", "data_gen.bake",
            "prtnet.report", "training.sweep", "training.export", "runtime.report_page",
            "runtime.onnx_model")  # fmt: skip
@@ -89,7 +89,7 @@ JOBS = (
     Job("bake-all-frequency {inputs}/arm.glb --out {out} --texels 8 --points-per-cluster 40 "
         "--terms 3 --rows 2 --brdf ggx:roughness=0.3 --threads 1", "arm-light.safetensors",
         ("--terms 3", "--terms 2")),
-    Job("generate {inputs}/arm.glb --out file://{out} --count 9 --rays 32 --order 3 --block 2 "
+    Job("generate {inputs}/arm.glb --out farm://{out} --count 9 --rays 32 --order 3 --block 2 "
         "--threads 2", "store.zarr", ("--rays 32", "--rays 16"),
         label=" (to a store)", header="zarr.json"),
     Job("export {inputs}/arm.safetensors --out {out}", "export",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from typing import Any
 
 import fsspec
@@ -11,8 +12,11 @@ from fsspec.implementations.local import LocalFileSystem
 __all__ = ["Farm"]
 
 
+UNSEEN = ".under-way"
+
+
 class Farm(LocalFileSystem):  # type: ignore[misc]
-    """``farm:///folder`` is that folder of this machine; files are put there whole."""
+    """``farm:///folder`` is that folder of this machine; files are put there whole, or not seen."""
 
     protocol = "farm"
 
@@ -28,11 +32,11 @@ class Farm(LocalFileSystem):  # type: ignore[misc]
 
     def ls(self, path: str, detail: bool = False, **_: Any) -> Any:
         folder = self._strip_protocol(path)
-        if folder not in self.dircache:
-            self.dircache[folder] = super().ls(folder, detail=True)
-        if folder not in self.dircache:  # nothing is to be remembered
-            return super().ls(folder, detail=detail)
-        found = self.dircache[folder]
+        found = self.dircache.get(folder)
+        if found is None:
+            every = super().ls(folder, detail=True)
+            found = [each for each in every if not each["name"].endswith(UNSEEN)]
+            self.dircache[folder] = found
         return found if detail else [each["name"] for each in found]
 
     def info(self, path: str, **options: Any) -> Any:
@@ -52,11 +56,12 @@ class Farm(LocalFileSystem):  # type: ignore[misc]
     def pipe_file(self, path: str, value: bytes, **_: Any) -> None:
         own = self._strip_protocol(path)
         os.makedirs(os.path.dirname(own), exist_ok=True)
-        partial = f"{own}.{os.getpid()}"
+        partial = f"{own}.{os.getpid()}{UNSEEN}"
         with open(partial, "wb") as file:
             file.write(value)
         os.replace(partial, own)
         self.dircache.pop(os.path.dirname(own), None)
 
 
+warnings.filterwarnings("ignore", "UPath 'farm' filesystem")
 fsspec.register_implementation("farm", Farm, clobber=True)
