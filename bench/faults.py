@@ -41,10 +41,10 @@ STEPS = ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "o
 NEEDS_ROOM = ("open", "os.mkdir")
 MAKES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 ROOM = 256 << 20  # bytes of a disk that is large enough
-PRELOAD = ("tests.store", "prtnet.cli_bake", "prtnet.cli_bake_all_frequency", "training.all_frequency", "upath",
-           "training.train", "prtnet.lobe_fit", "data_gen.generate", "data_gen.bake",
-           "prtnet.report", "training.sweep", "training.export", "runtime.report_page",
-           "runtime.onnx_model")  # fmt: skip
+PRELOAD = ("tests.store", "upath", "prtnet.cli_bake", "prtnet.cli_bake_all_frequency",
+           "training.all_frequency", "training.train", "prtnet.lobe_fit", "data_gen.generate",
+           "data_gen.bake", "prtnet.report", "training.sweep", "training.export",
+           "runtime.report_page", "runtime.onnx_model")  # fmt: skip
 
 
 @dataclass(frozen=True)
