@@ -51,7 +51,7 @@ MATERIALS = {
 }
 MAIN = (16, 200)  # terms, vertices of a cluster
 ERRORS = (0.001, 0.002, 0.004, 0.008)  # the second is the paper's
-CURVE = (MAIN, (16, 100), (32, 200), (8, 200))
+CURVE = (MAIN, (16, 100), (8, 200))
 
 
 class Encoder:
