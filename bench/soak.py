@@ -108,7 +108,9 @@ class Soak:
         """Of the table."""
         ours, held_up = self.late()
         still = ours.pop("", 0)
-        names = ", ".join(f"{what} {count}" for what, count in ours.most_common())
+        most = ours.most_common(4)
+        others = ours.total() - sum(count for _, count in most)
+        names = ", ".join(f"{what} {count}" for what, count in (*most, ("others", others)) if count)
         counts = (self.memory[0], self.memory[-1], *self.most)
         megabytes = [f"{count / 1e6:.1f}" for count in counts]
         return [
