@@ -255,7 +255,6 @@ class ViewerLoop:
         files: list[tuple[Path, Path]],
         rates: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
-        self.rng = random.Random(0)
         self.viewer, self.files, self.rates = viewer, files, {**RATES, **rates}
         self.first = dataclasses.replace(viewer.view)
         self.shown = 0
@@ -279,9 +278,8 @@ class ViewerLoop:
 
     def rest(self) -> None:
         """The first character as it was first shown, in a window of the first size."""
-        viewer, self.shown = self.viewer, 0
-        self.matte()
-        viewer.dropped(0, 0, list(map(str, self.files[0])))
+        viewer = self.viewer
+        self.drop(self.files[0])
         vars(viewer.view).update(vars(self.first))
         viewer.helping = False
         self.resize(SIZE)
@@ -292,10 +290,12 @@ class ViewerLoop:
         self.rng = random.Random(0)
         self.rest()
 
-    def matte(self) -> None:
-        """Nothing that other characters have not."""
+    def drop(self, files: tuple[Path, Path]) -> None:
+        """Another character, in nothing that it has not."""
         if self.viewer.view.brdf.startswith("lobe"):
             self.viewer.change("brdf", "matte")
+        self.shown = self.files.index(files)
+        self.viewer.dropped(0, 0, list(map(str, files)))
 
     def light(self) -> None:
         self.viewer.change("light", self.rng.choice(list(LIGHTS)))
@@ -337,10 +337,7 @@ class ViewerLoop:
         self.viewer.window._window.dispatch_events()
 
     def another_character(self) -> None:
-        self.matte()
-        files = self.rng.choice(self.files)
-        self.shown = self.files.index(files)
-        self.viewer.dropped(0, 0, list(map(str, files)))
+        self.drop(self.rng.choice(self.files))
 
 
 @contextmanager

@@ -20,7 +20,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from prtnet.errors import PrtnetError
-from prtnet.places import failures, is_remote, there
+from prtnet.places import is_remote, known
 
 __all__ = [
     "check_output",
@@ -186,11 +186,7 @@ def input_file(path: Path, folder: bool = False) -> Path:
     Raises:
         PrtnetError: there is nothing of that name, or it is a folder.
     """
-    try:
-        known = there(path)
-    except failures(path) as error:
-        raise PrtnetError(path, f"cannot be reached ({error}); check the address") from error
-    if not known:
+    if not known(path):
         raise PrtnetError(path, "does not exist; check the name")
     if is_remote(path):
         return path

@@ -21,7 +21,7 @@ import zarr
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.dataset_checks import check_attributes, check_fit, check_folder, check_stored
 from prtnet.errors import PrtnetError
-from prtnet.places import children, damage, failures, place, store, there
+from prtnet.places import children, damage, failures, known, place, store, there
 
 __all__ = [
     "FORMAT_VERSION",
@@ -259,11 +259,7 @@ class Dataset:
             PrtnetError: there is none, it is of another format version, or it is not whole.
         """
         path = place(path)
-        try:
-            known = there(path)
-        except failures(path) as error:
-            raise PrtnetError(path, f"cannot be reached ({error}); check the address") from error
-        if not known:
+        if not known(path):
             raise PrtnetError(path, "does not exist; make it with prtnet generate")
         try:
             return cls(path, opened(path))

@@ -30,10 +30,12 @@ from prtnet.errors import PrtnetError
 from prtnet.places import (
     COPYING,
     children,
+    discard,
     failures,
     is_remote,
     place,
     publish,
+    reason,
     remove_place,
     store,
     there,
@@ -96,8 +98,7 @@ class DatasetWriter:
             if half:
                 remove_place(self.path)
             for other in left:
-                remove_place(other / MARKERS)  # nobody may go on with what is half deleted
-                remove_place(other)
+                discard(other, MARKERS)
             self._group = create(self.partial, attributes, fixed, poses, block)
             self._markers.mkdir(exist_ok=True)
             self._started.touch()
@@ -175,10 +176,8 @@ class DatasetWriter:
         except PrtnetError:
             raise
         except failures(self.path) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise PrtnetError(
-                self.path, f"cannot be written ({reason}); give another --out"
-            ) from error
+            told = f"cannot be written ({reason(error)}); give another --out"
+            raise PrtnetError(self.path, told) from error
 
 
 def create(

@@ -25,7 +25,7 @@ from prtnet.block_files import read_block, read_part, write_block
 from prtnet.cores import core_count
 from prtnet.errors import PrtnetError
 from prtnet.executor import Tasks, executor
-from prtnet.places import children, failures, is_remote, place, remove_place
+from prtnet.places import children, failures, is_remote, place, reason, remove_place
 from prtnet.provenance import made_with
 
 __all__ = ["Exchange", "Given", "Result", "Work", "elsewhere", "exchange", "in_parallel", "through"]
@@ -201,8 +201,8 @@ def through(tasks: Tasks, folder: Path, packages: Sequence[str] = ()) -> Iterato
     try:
         folder.mkdir(exist_ok=True)
     except failures(folder) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise PrtnetError(folder, f"cannot be made ({reason}); give another --out") from error
+        told = f"cannot be made ({reason(error)}); give another --out"
+        raise PrtnetError(folder, told) from error
     token = CURRENT.set(Exchange(tasks, folder, made_with(*packages)))
     try:
         yield

@@ -17,8 +17,8 @@ from prtnet.errors import MISFITS, PrtnetError
 from prtnet.files import finish, remove
 
 __all__ = [
-    "COPYING", "children", "damage", "failures", "is_folder", "is_remote", "place", "publish",
-    "put", "remote", "remove_place", "sizes", "store", "there",
+    "COPYING", "children", "damage", "discard", "failures", "is_folder", "is_remote", "known",
+    "place", "publish", "put", "reason", "remote", "remove_place", "sizes", "store", "there",
 ]  # fmt: skip
 
 # What Zarr and Blosc make of damage: sizes below zero, or more than there is memory, among it.
@@ -82,6 +82,11 @@ def failures(path: Path) -> tuple[type[Exception], ...]:
     return (Exception,) if is_remote(path) else (OSError,)
 
 
+def reason(error: BaseException) -> str:
+    """What an error says, without its number and file."""
+    return getattr(error, "strerror", None) or str(error)
+
+
 def damage(path: Path) -> tuple[type[Exception], ...]:
     """What reading raises where something is damaged: of a store no refusal, and no silence."""
     return (FileNotFoundError if is_remote(path) else OSError, *DAMAGE)
@@ -100,6 +105,18 @@ def there(path: Path) -> bool:
     except (FileNotFoundError, NotADirectoryError):
         return False
     return True
+
+
+def known(path: Path) -> bool:
+    """Whether there is such an input.
+
+    Raises:
+        PrtnetError: it is in a store that cannot tell.
+    """
+    try:
+        return there(path)
+    except failures(path) as error:
+        raise PrtnetError(path, f"cannot be reached ({error}); check the address") from error
 
 
 def children(folder: Path) -> Iterator[Path]:
@@ -123,6 +140,12 @@ def remove_place(path: Path) -> None:
         remove(path)
     elif there(path):
         remote(path).fs.rm(remote(path).path, recursive=True)
+
+
+def discard(folder: Path, marks: str) -> None:
+    """Delete a folder, its marks first: nobody may go on with what is half deleted."""
+    remove_place(folder / marks)
+    remove_place(folder)
 
 
 def put(file: Path, final: Path) -> None:
@@ -153,12 +176,9 @@ def publish(partial: Path, final: Path, last: str, besides: str) -> None:
     found = (name for name in sizes(partial) if not name.startswith(f"{besides}/"))
     names = [*sorted({*found} - {last}), last]
     (partial / besides / COPYING).touch()
-    if there(final / last):
-        (final / last).unlink()
-    remove_place(final)
+    discard(final, last)
     for folder in sorted({os.path.dirname(name) for name in names}):
         fs.makedirs(f"{other}/{folder}".rstrip("/"), exist_ok=True)
     for some in (names[:-1], names[-1:]):
         fs.copy([f"{own}/{name}" for name in some], [f"{other}/{name}" for name in some])
-    remove_place(partial / besides)  # nobody goes on with what is half deleted
-    remove_place(partial)
+    discard(partial, besides)
