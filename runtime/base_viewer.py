@@ -20,6 +20,7 @@ import numpy as np
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 from runtime import recording
+from runtime.memory import keep_little
 from runtime.outlook import Outlook
 from runtime.sight import Sight
 
@@ -112,6 +113,7 @@ def in_window(title: str, size: tuple[int, int], visible: bool, made: Callable[[
         PrtnetError: no window can be opened; see :func:`open_window`.
     """
     window = open_window(title, size, visible)
+    keep_little()
     try:
         return made(window)
     except BaseException:

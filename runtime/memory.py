@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import moderngl
 
-__all__ = ["gpu_bytes", "resident_bytes"]
+__all__ = ["gpu_bytes", "keep_little", "resident_bytes"]
 
 DEPTH_BYTES = 4  # a sample; drivers round 24 bits up
+TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # of mallopt, in malloc.h
+KEPT = 4 << 20  # bytes that are free, of each thread
+MAPPED = 32 << 20  # bytes from which an array is no thread's: glibc's most
 
 
 def gpu_bytes(held: Iterable[Any]) -> int:
@@ -36,3 +41,18 @@ def resident_bytes() -> int | None:
     except (OSError, StopIteration):
         return None
     return 1024 * int(line.split()[1])
+
+
+def keep_little() -> None:
+    """Have the C library hand freed memory back, where it is glibc.
+
+    By itself it comes to keep up to 64 MB for every thread that ever made something large, which
+    ``malloc_trim`` does not hand back either: a window that is open for long, and traces and makes
+    things beside its frames, went up and down by hundreds of megabytes. A frame of a game's loop
+    frees less than is kept here, and takes as long as before.
+    """
+    if sys.platform.startswith("linux"):
+        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
+        if mallopt is not None:
+            mallopt(MMAP_THRESHOLD, MAPPED)
+            mallopt(TRIM_THRESHOLD, KEPT)

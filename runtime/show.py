@@ -65,25 +65,33 @@ class Show(Sight[View]):
         context: OpenGL that everything lives in; it must be current at every call.
         cast: the character.
         environments: lights by name.
+        fits: of the lights, from another character's.
 
     Attributes:
         error_top: what is at the end of the error's colours, per cent of an open vertex.
+        fits: the lobes of lights by name, order and number of lobes, each fitted once.
     """
 
     unlit = UNLIT
 
     def __init__(
-        self, context: moderngl.Context, cast: Cast, environments: Callable[[str], Environment]
+        self,
+        context: moderngl.Context,
+        cast: Cast,
+        environments: Callable[[str], Environment],
+        fits: dict[tuple[str, int, int | None], Lobes] | None = None,
     ) -> None:
         self.cast, self.actor = cast, cast.actor
+        self.fits = {} if fits is None else fits
         self.order = cast.actor.model.order
         self.error_top = 0.0
         self._truth: Background[FloatArray] = Background()
         self._radiance: Background[FloatArray] = Background()
         self._material: Background[ReflectionOperator] = Background()
+        self._light: Background[Lobes] = Background()
         self._operator: ReflectionOperator | None = None
         self._brdf: tuple[str, BRDF] | None = None
-        self._lit: tuple[Any, Lobes] | None = None
+        self._lit: tuple[str, int | None] | None = None  # the light that was drawn last
         self._posed: tuple[Any, FloatArray] | None = None
         self._subject: tuple[Any, Subject] | None = None
         self._predicted: tuple[Any, FloatArray] | None = None
@@ -114,6 +122,7 @@ class Show(Sight[View]):
             "tracing visibility": self._truth,
             "tracing the truth": self._radiance,
             "making the material": self._material,
+            "fitting the light": self._light,
         }
 
     def parts(self) -> dict[str, int | None]:
@@ -166,7 +175,7 @@ class Show(Sight[View]):
             PrtnetError: it cannot.
         """
         if name == "light":
-            self.lit(view)
+            self.environments(view.light)
         else:
             self.brdf(view)
 
@@ -423,6 +432,7 @@ class Show(Sight[View]):
 
     def settle(self, view: View) -> None:
         """Wait for everything that a view needs; nothing of it is then missing or old."""
+        self._fitted(view, wait=True)
         if not isinstance(self.brdf(view), OneDimensional):
             self.operator(view, wait=True)
         if {"visibility", "error"} & set(view.modes):
@@ -452,13 +462,32 @@ class Show(Sight[View]):
         assert self._operator is not None
         return self._operator
 
+    def _fitted(self, view: View, wait: bool = False) -> Lobes | None:
+        """The lobes of the light as it was given, fitted in the background; None until then."""
+        name, lobes, order = view.light, view.lobes, self.order
+        key = name, order, lobes
+        if key not in self.fits:
+            found = self._light.get(
+                key, lambda: lobes_of(self.environments(name).harmonics(order), lobes), wait
+            )
+            if found is None:
+                return None
+            self.fits[key] = found
+        return self.fits[key]
+
+    def drawable(self, view: View) -> View:
+        """The view, in the light that was drawn last until its own has been fitted."""
+        if self._fitted(view, wait=self._lit is None) is not None:
+            self._lit = view.light, view.lobes
+            return view
+        assert self._lit is not None
+        return replace(view, light=self._lit[0], lobes=self._lit[1])
+
     def lit(self, view: View) -> Lobes:
-        """The lobes of the light: fitted once, then turned."""
-        key = (view.light, view.lobes)
-        if self._lit is None or self._lit[0] != key:
-            light = self.environments(view.light).harmonics(self.order)
-            self._lit = key, lobes_of(light, view.lobes)
-        return self._lit[1].rotated(about_up(view.light_turn))
+        """The lobes of the light, turned."""
+        found = self._fitted(view, wait=True)
+        assert found is not None
+        return found.rotated(about_up(view.light_turn))
 
 
 def moved(place: FloatArray) -> FloatArray:

@@ -97,6 +97,10 @@ class Sight(ABC, Generic[V]):
         It is then where it was.
         """
 
+    def drawable(self, view: V) -> V:
+        """The view with what can be drawn at once in place of what is still being made."""
+        return view
+
     def parts(self) -> dict[str, int | None]:
         """Bytes of what is shown, by what takes them."""
         return {}
@@ -144,6 +148,7 @@ class Sight(ABC, Generic[V]):
         """Draw a view into a framebuffer of this size."""
         started = clock.perf_counter()
         self.milliseconds = {}
+        view = self.drawable(view)
         camera = self.camera(view)
         frame = self.screen.clear(size)
         split = round(min(max(view.split, 0.0), 1.0) * size[0])
