@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -74,14 +75,13 @@ class AllFrequencyViewer(BaseViewer[AllFrequencySight, AllFrequencyView, AllFreq
     def take_files(self, found: Mapping[str, Path]) -> None:
         """Show another object, as this one is shown, if it can be."""
         path = found["field"]
-        try:
-            fields = self.desk.open_file(path)
+
+        def take(fields: Sequence[AllFrequencyField]) -> str:
             view = dataclasses.replace(self.view, pan=(0.0, 0.0))
             self.window.use()
             size = path.stat().st_size
             show = AllFrequencySight(self.window.ctx, fields, self.show.environments, size)
             self.replace(show, view)
-        except Exception as error:
-            self.complain(error)
-        else:
-            self.message = path.name
+            return path.name
+
+        self.open(path.name, partial(self.desk.open_file, path), take)

@@ -1,4 +1,4 @@
-"""What takes longer than a frame is made in a thread of its own."""
+"""What takes longer than a frame is made beside the frames, in threads that last."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ __all__ = ["Background"]
 
 T = TypeVar("T")
 
+WORKERS = ThreadPoolExecutor(8, "background")  # more than a viewer makes things at once
+
 
 class Background(Generic[T]):
-    """The last thing asked for, made in a thread of its own; one at a time."""
+    """The last thing asked for, made beside the frames; one at a time."""
 
     def __init__(self) -> None:
-        self.worker = ThreadPoolExecutor(1)
         self.key: Any = None
         self.future: Future[T] | None = None
 
@@ -37,14 +38,18 @@ class Background(Generic[T]):
         """
         if wait and self.future is not None and self.key != key:
             self.future.exception()  # done with, whatever came of it
-        if self.key != key and not self.busy:
-            self.key, self.future = key, self.worker.submit(make)
+        self.begin(key, make)
         future = self.future
         if future is None or self.key != key or not (wait or future.done()):
             return None
         if future.exception() is not None:
             self.key = self.future = None
         return future.result()
+
+    def begin(self, key: Any, make: Callable[[], T]) -> None:
+        """Ask for something, unless something else is being made."""
+        if self.key != key and not self.busy:
+            self.key, self.future = key, WORKERS.submit(make)
 
     def known(self, key: Any) -> T | None:
         """What was asked for under this key if it is there; nothing is begun."""
@@ -54,5 +59,7 @@ class Background(Generic[T]):
         return self.future.result()
 
     def release(self) -> None:
-        """Begin nothing more; what is being made is waited for."""
-        self.worker.shutdown(cancel_futures=True)
+        """Forget what was made; what is being made is waited for."""
+        if self.future is not None and not self.future.cancel():
+            self.future.exception()
+        self.key = self.future = None

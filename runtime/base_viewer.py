@@ -20,7 +20,8 @@ import numpy as np
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 from runtime import recording
-from runtime.memory import keep_little
+from runtime.background import Background
+from runtime.memory import hand_back, keep_little
 from runtime.outlook import Outlook
 from runtime.sight import Sight
 
@@ -150,6 +151,8 @@ class BaseViewer(ABC, Generic[S, V, D]):
         self.helping = False
         self.mouse: tuple[int, int] | None = None
         self.saving: Iterator[str] | None = None
+        self.opening: Background[Any] = Background()
+        self.finish: Callable[[], None] | None = None  # to open what is being opened
         view.playing = True
         self.good = dataclasses.replace(view)
         self.message = ""
@@ -177,7 +180,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
 
     @abstractmethod
     def take_files(self, found: Mapping[str, Path]) -> None:
-        """Show what fell on the window, by its kind; what cannot be shown is told."""
+        """Begin to ``open`` what fell on the window, by its kind."""
 
     def run(self) -> None:
         """Until the window is closed."""
@@ -191,6 +194,8 @@ class BaseViewer(ABC, Generic[S, V, D]):
         """One frame, so many seconds after the last."""
         self.window.use()
         self.imgui.get_io().delta_time = max(elapsed, 1e-4)
+        if not self.opening.busy:
+            self.opened()
         if self.saving is not None:
             self.save_on()
         elif self.view.playing:
@@ -332,6 +337,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
 
     def dropped(self, _x: int, _y: int, paths: list[Any]) -> None:
         """Files fell on the window: lights, and what else can be shown."""
+        self.opened()
         self.message = ""
         found: dict[str, Path] = {}
         for path in map(Path, paths):
@@ -345,6 +351,43 @@ class BaseViewer(ABC, Generic[S, V, D]):
                 found[kind] = path
         if found:
             self.take_files(found)
+
+    def open(
+        self,
+        name: str,
+        make: Callable[[], T],
+        take: Callable[[T], str],
+        fail: Callable[[Exception], None] | None = None,
+    ) -> None:
+        """Open a file beside the frames; what is there is shown until then.
+
+        Args:
+            name: of the file.
+            make: what is to be shown of it.
+            take: shows that, between two frames, and says what is shown.
+            fail: is told why it cannot be shown; tells it in the panel if it is not given.
+        """
+        self.opened()
+        self.message = f"opening {name}"
+        self.opening.begin(make, make)
+
+        def finish() -> None:
+            try:
+                made = self.opening.get(make, make, wait=True)
+                assert made is not None
+                self.message = take(made)
+            except Exception as error:
+                (fail or self.complain)(error)
+
+        self.finish = finish
+
+    def opened(self) -> None:
+        """Show what is being opened, if anything is; it is waited for."""
+        if self.finish is not None:
+            finish, self.finish = self.finish, None
+            finish()
+            self.opening.release()  # it is held by who shows it
+            hand_back()
 
     def save(self, recorder: Callable[[Any], Iterator[str]]) -> None:
         """Begin to save something, a picture a step; ``runtime.recording`` has what there is."""
@@ -386,6 +429,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
     def release(self) -> None:
         """Give everything back but the window, and the panel's library, which goes with it."""
         self.stop_saving()
+        self.opening.release()
         self.show.release()
 
     def close(self) -> None:

@@ -30,6 +30,7 @@ class FieldPanel(BasePanel):
         if viewer.show.cast.patch:
             chosen = self.choose("on", worn.name, viewer.desk.built_in)
             if chosen != worn.name:
+                viewer.opened()
                 viewer.reopen(viewer.desk.field, chosen)
                 return
         if worn.scene is not None:

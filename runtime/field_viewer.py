@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -62,13 +63,13 @@ class FieldViewer(BaseViewer[FieldShow, FieldView, FieldDesk]):
 
     def reopen(self, field: Path, on: str | None) -> None:
         """Show a field on something; what cannot be shown is told, and what is there stays."""
-        try:
-            self.take(self.desk.open_files(field, on))
-        except Exception as error:
-            self.complain(error)
-        else:
+
+        def take(cast: FieldCast) -> str:
+            self.take(cast)
             self.desk.field, self.desk.on = field, on
-            self.message = f"{field.name} on {Path(self.show.cast.worn.name).name}"
+            return f"{field.name} on {Path(cast.worn.name).name}"
+
+        self.open(field.name if on is None else on, partial(self.desk.open_files, field, on), take)
 
     def take(self, cast: FieldCast) -> None:
         """Show another field, as this one is shown, if it can be.

@@ -10,7 +10,7 @@ from typing import Any
 
 import moderngl
 
-__all__ = ["gpu_bytes", "keep_little", "resident_bytes"]
+__all__ = ["gpu_bytes", "hand_back", "keep_little", "resident_bytes"]
 
 DEPTH_BYTES = 4  # a sample; drivers round 24 bits up
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # of mallopt, in malloc.h
@@ -44,15 +44,26 @@ def resident_bytes() -> int | None:
 
 
 def keep_little() -> None:
-    """Have the C library hand freed memory back, where it is glibc.
+    """Have glibc keep little of what threads free, from now on.
 
     By itself it comes to keep up to 64 MB for every thread that ever made something large, which
-    ``malloc_trim`` does not hand back either: a window that is open for long, and traces and makes
-    things beside its frames, went up and down by hundreds of megabytes. A frame of a game's loop
-    frees less than is kept here, and takes as long as before.
+    ``malloc_trim`` does not hand back: a window that is open for long, and traces and makes things
+    beside its frames, went up and down by hundreds of megabytes. What a frame frees is less than
+    what is kept here.
     """
-    if sys.platform.startswith("linux"):
-        mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # musl has none
-        if mallopt is not None:
-            mallopt(MMAP_THRESHOLD, MAPPED)
-            mallopt(TRIM_THRESHOLD, KEPT)
+    mallopt = of_glibc("mallopt")
+    if mallopt is not None:
+        mallopt(MMAP_THRESHOLD, MAPPED)
+        mallopt(TRIM_THRESHOLD, KEPT)
+
+
+def hand_back() -> None:
+    """Have glibc hand back what is free between things that are held; takes milliseconds."""
+    trim = of_glibc("malloc_trim")
+    if trim is not None:
+        trim(0)
+
+
+def of_glibc(name: str) -> Any:
+    """A function of the C library; None where it is another."""
+    return getattr(ctypes.CDLL(None), name, None) if sys.platform.startswith("linux") else None

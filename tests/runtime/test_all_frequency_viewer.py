@@ -160,12 +160,14 @@ def test_fields_and_lights_fall_on_the_window(viewer, tmp_path):
     other = tmp_path / "other.safetensors"
     save_fields(other, [random_field(8, ball(1))])
     viewer.dropped(0, 0, [str(other)])
+    viewer.opened()
     assert viewer.message == "other.safetensors"
     assert len(viewer.show.fields[0]) == 42
     viewer.step(0.0)
     matte = tmp_path / "matte.safetensors"
     TransferField(np.ones((42, 1, 4), dtype=np.float32), ball(1)).save(matte)
     viewer.dropped(0, 0, [str(matte)])
+    viewer.opened()
     assert "is a prtnet transfer field" in viewer.message
     assert len(viewer.show.fields[0]) == 42
     viewer.dropped(0, 0, [str(tmp_path / "absent.hdr")])

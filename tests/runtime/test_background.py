@@ -1,4 +1,4 @@
-"""What is made in a thread of its own, and fails there."""
+"""What is made beside the frames, and fails there."""
 
 from __future__ import annotations
 
@@ -34,4 +34,26 @@ def test_an_error_is_told_once_and_what_is_wanted_again_is_made_again():
     assert task.get("a", make, wait=True) == 1
     assert task.get("a", make) == 1
     assert made == [0, 1]
+    task.release()
+
+
+def test_what_is_given_back_is_forgotten_and_waited_for():
+    begun, gate, made = threading.Event(), threading.Event(), []
+
+    def make() -> str:
+        begun.set()
+        gate.wait()
+        made.append("a")
+        return "a"
+
+    task: Background[str] = Background()
+    task.begin("a", make)
+    task.begin("b", make)  # one at a time
+    begun.wait()
+    threading.Timer(0.1, gate.set).start()
+    task.release()
+    assert made == ["a"]
+    assert task.known("a") is None
+    assert task.get("a", lambda: "anew", wait=True) == "anew"
+    task.release()
     task.release()

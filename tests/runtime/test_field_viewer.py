@@ -213,6 +213,7 @@ def test_lists_of_the_panel_are_opened_and_chosen_from_by_the_mouse(viewer, monk
 
     viewer.desk.open_files = opened
     choose(viewer, places["on"], 1)
+    viewer.opened()
     assert asked == [(Path("a.safetensors"), "plane")]
     assert viewer.show.cast.worn.name == "arm"
 
@@ -340,6 +341,7 @@ def test_files_that_fall_on_the_window_are_shown(opened, files, tmp_path):
 
     def drop(*names: Path) -> None:
         send(found, "on_file_drop", 10, 10, [str(name) for name in names])
+        found.opened()
         found.step(0.0)
 
     (tmp_path / "bad.safetensors").write_bytes(b"no field")
@@ -356,6 +358,7 @@ def test_files_that_fall_on_the_window_are_shown(opened, files, tmp_path):
     assert found.message == "lobes.safetensors on arm.glb"
     assert found.show.cast.transfer is None
     found.reopen(files / "raw.safetensors", "plane")
+    found.opened()
     assert found.message == "raw.safetensors on plane"
     assert found.view.clip == ""
     found.release()
@@ -374,6 +377,7 @@ def test_what_cannot_be_drawn_gives_back_what_it_took(viewer, monkeypatch):
         viewer.show.cast, lobes=lobe_field(bumpy(1, 4), 1)
     )
     viewer.dropped(0, 0, ["any.safetensors"])
+    viewer.opened()
     assert "too large" in viewer.message
     assert viewer.show is shown
     assert len(released) == 1

@@ -29,6 +29,7 @@ from runtime.base_viewer import open_window
 from runtime.cast import Cast
 from runtime.crowd import crowd_places, crowd_poses, elbow_room
 from runtime.draw import opened, render_material
+from runtime.looks import lobes_of
 from runtime.pick import projected
 from runtime.picture import develop, laid_over
 from runtime.posed_surface import posed_subject
@@ -746,6 +747,7 @@ def test_files_that_fall_on_the_window_are_shown(viewer, window, tmp_path):
 
     def drop(*names: str) -> None:
         send(viewer, "on_file_drop", 10, 10, [str(tmp_path / name) for name in names])
+        viewer.opened()
         viewer.step(0.0)
 
     (tmp_path / "bad.safetensors").write_bytes(b"no model")
@@ -767,6 +769,73 @@ def test_files_that_fall_on_the_window_are_shown(viewer, window, tmp_path):
     assert np.ptp(read(viewer)) > 60
 
 
+def test_what_is_there_is_shown_until_another_is_opened(viewer, tmp_path):
+    gate, asked, shown = threading.Event(), [], viewer.show
+
+    def slowly(*files: Path) -> Cast:
+        gate.wait()
+        asked.append([file.name for file in files])
+        if files[0].name == "bad.safetensors":
+            raise PrtnetError(files[0], "is no model")
+        return cast()
+
+    viewer.desk.open_files = slowly
+    viewer.dropped(0, 0, ["one.safetensors"])
+    try:
+        for _ in range(3):
+            viewer.step(0.0)
+            assert viewer.message == "opening one.safetensors"
+            assert viewer.show is shown
+    finally:
+        threading.Timer(0.2, gate.set).start()
+    viewer.dropped(0, 0, ["two.glb"])  # only goes on when the first is there
+    assert viewer.desk.model == Path("one.safetensors")
+    assert viewer.message == "opening two.glb"
+    while viewer.message.startswith("opening"):
+        viewer.step(0.0)
+    assert viewer.message == "one.safetensors on two.glb"
+    assert asked == [["one.safetensors", "a.glb"], ["one.safetensors", "two.glb"]]
+    shown = viewer.show
+    viewer.dropped(0, 0, ["bad.safetensors"])
+    while viewer.message.startswith("opening"):
+        viewer.step(0.0)
+    assert viewer.message == "bad.safetensors: is no model"
+    assert viewer.show is shown
+    assert viewer.opening.future is None  # what is shown no more is not held by it
+
+
+def test_the_last_light_shines_until_another_is_fitted(viewer, monkeypatch):
+    gate, fitted = threading.Event(), []
+
+    def slowly(light: np.ndarray, count: int | None) -> Any:
+        gate.wait()
+        fitted.append(count)
+        return lobes_of(light, count)
+
+    before = read(viewer)
+    monkeypatch.setattr("runtime.show.lobes_of", slowly)
+    viewer.change("light", "sky")
+    try:
+        viewer.step(0.0)
+        assert viewer.show.waiting == "fitting the light"
+        assert "sky" not in viewer.show.exposures  # which is chosen by what it lights
+        drawn = viewer.show.screen.linear()
+        shown = develop(drawn, viewer.show.exposures["studio"]).astype(int)
+        assert np.abs(shown - before).max() <= 2
+    finally:
+        gate.set()
+    after = read(viewer)
+    assert np.abs(after - before).max() > 5
+    shown = viewer.show
+    viewer.take(cast())
+    assert viewer.show is not shown
+    assert np.abs(read(viewer) - after).max() <= 1
+    viewer.change("light", "studio")
+    viewer.step(0.0)
+    assert viewer.show.waiting == ""
+    assert fitted == [viewer.view.lobes]  # once for all characters
+
+
 def test_a_character_that_cannot_be_drawn_gives_back_what_it_took(viewer, monkeypatch):
     released, shown = [], viewer.show
 
@@ -777,6 +846,7 @@ def test_a_character_that_cannot_be_drawn_gives_back_what_it_took(viewer, monkey
     real = Stage.release
     monkeypatch.setattr(Stage, "release", lambda self: (released.append(self), real(self)))
     viewer.dropped(0, 0, ["any.safetensors"])
+    viewer.opened()
     assert "too large" in viewer.message
     assert viewer.show is shown
     assert len(released) == 1

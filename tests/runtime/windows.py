@@ -16,7 +16,8 @@ Viewer = Any  # any ``runtime.base_viewer.BaseViewer``
 
 
 def sized(window: Any) -> None:
-    """As it was opened."""
+    """As it was opened, and current: other tests have contexts without a window."""
+    window._window.switch_to()
     window.use()
     window._window.set_size(*SIZE)
     window._window.dispatch_events()
