@@ -89,7 +89,7 @@ def check_attributes(found: Mapping[str, Any]) -> None:
     if not set(found["held_out"]) <= set(found["clip_names"]):
         raise ValueError("held_out names clips that are not there")
     if found["scene_kind"] not in ("skinned", "point_cache"):
-        raise ValueError(f"no kind of scene is called {found['scene_kind']}")
+        raise ValueError("scene_kind is neither 'skinned' nor 'point_cache'")
 
 
 def check_fit(arrays: Mapping[str, Any], attributes: Mapping[str, Any]) -> None:

@@ -11,6 +11,8 @@ __all__ = ["MISFITS", "PrtnetError", "nearest_name"]
 # What taking damaged headers and arrays apart may raise.
 MISFITS = (ArithmeticError, AttributeError, IndexError, KeyError, TypeError, ValueError)
 
+LONGEST = 1200  # characters; a file may hold anything under any name
+
 
 class PrtnetError(Exception):
     """Bad input or an impossible request, told in one line.
@@ -19,13 +21,16 @@ class PrtnetError(Exception):
 
     Args:
         subject: the file or option at fault.
-        message: what is wrong and what to do, on one line.
+        message: what is wrong and what to do, on one line; of a longer one than ``LONGEST`` the
+            middle is left out.
     """
 
     def __init__(self, subject: str | Path, message: str) -> None:
         self.subject = str(subject)
         # What files say of themselves, lone surrogates too, must not break the line.
-        self.message = " ".join(message.split()).encode("utf-8", "replace").decode()
+        line = " ".join(message.split()).encode("utf-8", "replace").decode()
+        half = LONGEST // 2
+        self.message = line if len(line) <= LONGEST else f"{line[:half]} … {line[-half:]}"
         super().__init__(f"{self.subject}: {self.message}")
 
     def __reduce__(self) -> tuple[type[PrtnetError], tuple[str, str]]:

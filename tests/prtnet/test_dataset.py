@@ -259,6 +259,12 @@ def test_a_dataset_without_checksums_of_its_headers_is_read(dataset: Dataset) ->
     np.testing.assert_array_equal(Dataset.open(dataset.path).poses[:], whole().pose)
 
 
+def test_datasets_of_old_leave_chunks_of_zeros_out(dataset: Dataset) -> None:
+    edit(dataset.path)
+    (dataset.path / "rest_pose/c/0").unlink()
+    assert not Dataset.open(dataset.path).rest_pose.any()
+
+
 def complaint(path: Path) -> str:
     with pytest.raises(PrtnetError) as caught:
         Dataset.open(path)
@@ -279,6 +285,19 @@ def test_what_is_no_dataset(tmp_path: Path) -> None:
     assert "is not a dataset" in complaint(tmp_path / "other.zarr")
 
 
+def test_what_fills_holes_may_be_too_large_for_its_type(dataset: Dataset) -> None:
+    edit(dataset.path)
+    header = dataset.path / "visibility/zarr.json"
+    header.write_text(json.dumps(json.loads(header.read_text()) | {"fill_value": 1e300}))
+    np.testing.assert_array_equal(Dataset.open(dataset.path).visibility[:], whole().visibility)
+
+
+def test_a_complaint_is_no_longer_than_a_line_can_be(dataset: Dataset) -> None:
+    edit(dataset.path, format_version=list(range(1000)))
+    assert len(complaint(dataset.path)) < 1500
+    assert complaint(dataset.path).endswith("generate it again")
+
+
 def test_another_format_version(dataset: Dataset) -> None:
     edit(dataset.path, format_version=FORMAT_VERSION + 1)
     assert f"of another format version ({FORMAT_VERSION + 1}" in complaint(dataset.path)
@@ -295,7 +314,7 @@ def test_a_missing_attribute(dataset: Dataset) -> None:
     assert "held_out" in complaint(dataset.path)
 
 
-@pytest.mark.parametrize("chunk", ["visibility/c/1/0/0", "clip/c/0"])
+@pytest.mark.parametrize("chunk", ["visibility/c/1/0/0", "clip/c/0", "rest_positions/c/0/0"])
 def test_a_missing_chunk(dataset: Dataset, chunk: str) -> None:
     (dataset.path / chunk).unlink()
     assert "is not whole" in complaint(dataset.path)
