@@ -8,7 +8,7 @@ table over light directions it would move from cell to cell.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -109,7 +109,12 @@ def spread(weights: FloatArray) -> FloatArray:
     return np.maximum(weights, SPREAD * largest)
 
 
-@lru_cache(maxsize=4)
+SAMPLERS: WeakKeyDictionary[BRDF, BRDFSampler] = WeakKeyDictionary()
+
+
 def brdf_sampler(brdf: BRDF) -> BRDFSampler:
-    """A sampler of a BRDF, made once."""
-    return BRDFSampler(brdf)
+    """A sampler of a BRDF, made once for as long as anybody has the BRDF: it takes megabytes."""
+    found = SAMPLERS.get(brdf)
+    if found is None:
+        found = SAMPLERS[brdf] = BRDFSampler(brdf)
+    return found

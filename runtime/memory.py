@@ -14,8 +14,8 @@ __all__ = ["gpu_bytes", "hand_back", "keep_little", "resident_bytes"]
 
 DEPTH_BYTES = 4  # a sample; drivers round 24 bits up
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # of mallopt, in malloc.h
-KEPT = 4 << 20  # bytes that are free, of each thread
-MAPPED = 32 << 20  # bytes from which an array is no thread's: glibc's most
+KEPT = 1 << 20  # bytes that are free, of each thread
+MAPPED = 4 << 20  # bytes from which an array goes back at once: what is larger leaves larger holes
 
 
 def gpu_bytes(held: Iterable[Any]) -> int:
@@ -48,8 +48,7 @@ def keep_little() -> None:
 
     By itself it comes to keep up to 64 MB for every thread that ever made something large, which
     ``malloc_trim`` does not hand back: a window that is open for long, and traces and makes things
-    beside its frames, went up and down by hundreds of megabytes. What a frame frees is less than
-    what is kept here.
+    beside its frames, went up and down by hundreds of megabytes.
     """
     mallopt = of_glibc("mallopt")
     if mallopt is not None:

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
@@ -85,6 +88,11 @@ def test_isotropic_draws_turn_with_the_view():
     assert again == pytest.approx(sampler.density(drawn, view), rel=1e-6)
 
 
-def test_a_sampler_is_made_once():
-    assert brdf_sampler(GGX()) is brdf_sampler(GGX())
-    assert brdf_sampler(GGX()) is not brdf_sampler(GGX(roughness=0.5))
+def test_a_sampler_is_made_once_and_goes_with_its_brdf():
+    brdf = GGX()
+    sampler = weakref.ref(brdf_sampler(brdf))
+    assert brdf_sampler(GGX()) is sampler()
+    assert brdf_sampler(GGX(roughness=0.5)) is not sampler()
+    del brdf
+    gc.collect()
+    assert sampler() is None
