@@ -104,7 +104,7 @@ def machine() -> str:
         found = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
         model = found.group(1) if found else model
     cores = len(os.sched_getaffinity(0))
-    return f"{model}, {cores} cores, {datetime.date.today():%Y-%m-%d}"
+    return f"{model}, {cores} core{'s' * (cores > 1)}, {datetime.date.today():%Y-%m-%d}"
 
 
 def markdown(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
