@@ -26,6 +26,7 @@ from prtnet.files import writing
 __all__ = ["Console", "Report", "StageMonitor", "in_per_cent", "silent", "write_json"]
 
 PATIENCE = 1.0  # seconds before anything is shown: quick work needs no bar
+LONG = 12  # numbers; of more than so many the least and the most are shown
 SPARSE = 10.0  # seconds between lines where there is no terminal to redraw
 
 
@@ -76,7 +77,7 @@ class Console:
         self._output.print(table)
 
     def facts(self, facts: Mapping[str, Any]) -> None:
-        """Named values on stdout: one a line, and what has parts as a table of its own."""
+        """Named values on stdout: one a line, and what has parts as tables of their own."""
         if self.quiet:
             return
         flat = {n: v for n, v in facts.items() if not isinstance(v, Mapping)}
@@ -86,13 +87,23 @@ class Console:
                 f"{words(name):<{width}}  {shown(value)}", markup=False, soft_wrap=True
             )
         for name, parts in facts.items():
-            if not isinstance(parts, Mapping) or not parts:
-                continue
-            rows = [v if isinstance(v, Mapping) else {"": v} for v in parts.values()]
-            columns = list(rows[0])
-            table = [[key, *map(shown, row.values())] for key, row in zip(parts, rows, strict=True)]
+            if isinstance(parts, Mapping):
+                self._parts(words(name), parts)
+
+    def _parts(self, name: str, parts: Mapping[str, Any]) -> None:
+        """A table of parts: a row for each, with columns where all of them have the same parts."""
+        inner = {n: part for n, part in parts.items() if isinstance(part, Mapping)}
+        columns = [""]
+        rows = [[words(n), shown(part)] for n, part in parts.items() if n not in inner]
+        if inner and not rows and len({tuple(part) for part in inner.values()}) == 1:
+            columns = list(map(words, next(iter(inner.values()))))
+            rows = [[key, *map(shown, part.values())] for key, part in inner.items()]
+            inner = {}
+        if rows:
             self._output.print()
-            self.table([words(name), *map(words, columns)], table)
+            self.table([name, *columns], rows)
+        for key, part in inner.items():
+            self._parts(f"{name}, {words(key)}", part)
 
     @contextlib.contextmanager
     def progress(self) -> Iterator[Report]:
@@ -151,6 +162,8 @@ def shown(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, list | tuple):
+        if len(value) > LONG and all(isinstance(one, int | float) for one in value):
+            return f"{len(value)} numbers from {shown(min(value))} to {shown(max(value))}"
         return ", ".join(map(shown, value)) if value else "none"
     return str(value)
 

@@ -49,6 +49,20 @@ def test_facts_with_parts_are_tables(capsys: pytest.CaptureFixture[str]) -> None
     ]  # fmt: skip
 
 
+def test_parts_of_parts_are_tables_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+    errors = [k / 20 for k in range(24)]
+    Console().facts({"beside_1": {"source": "ground", "errors": errors, "sizes": {"raw": 12}}})
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines == [
+        [], ["beside", "1"], ["source", "ground"],
+        ["errors", "24", "numbers", "from", "0", "to", "1.15"], [],
+        ["beside", "1,", "sizes"], ["raw", "12"],
+    ]  # fmt: skip
+    Console().facts({"a": {"x": {"u": 1}, "y": {"v": 2}}})
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines == [[], ["a,", "x"], ["u", "1"], [], ["a,", "y"], ["v", "2"]]
+
+
 def test_quiet_is_silent(capsys: pytest.CaptureFixture[str]) -> None:
     clock = Clock()
     console = Console(quiet=True, clock=clock)
