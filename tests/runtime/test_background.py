@@ -42,7 +42,7 @@ def test_what_is_given_back_is_forgotten_and_waited_for():
 
     def make() -> str:
         begun.set()
-        gate.wait()
+        gate.wait(5.0)
         made.append("a")
         return "a"
 

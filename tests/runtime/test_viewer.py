@@ -773,7 +773,7 @@ def test_what_is_there_is_shown_until_another_is_opened(viewer, tmp_path):
     gate, asked, shown = threading.Event(), [], viewer.show
 
     def slowly(*files: Path) -> Cast:
-        gate.wait()
+        gate.wait(5.0)
         asked.append([file.name for file in files])
         if files[0].name == "bad.safetensors":
             raise PrtnetError(files[0], "is no model")
@@ -808,7 +808,7 @@ def test_the_last_light_shines_until_another_is_fitted(viewer, monkeypatch):
     gate, fitted = threading.Event(), []
 
     def slowly(light: np.ndarray, count: int | None) -> Any:
-        gate.wait()
+        gate.wait(5.0)
         fitted.append(count)
         return lobes_of(light, count)
 
