@@ -48,7 +48,7 @@ def test_what_is_given_back_is_forgotten_and_waited_for():
 
     task: Background[str] = Background()
     task.begin("a", make)
-    task.begin("b", make)  # one at a time
+    task.begin("b", lambda: made.append("b") or "b")  # one at a time
     begun.wait()
     threading.Timer(0.1, gate.set).start()
     task.release()
