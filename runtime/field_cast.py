@@ -21,8 +21,8 @@ class FieldCast:
         worn: what it is on.
         lobes: as the file has them; None to fit them to transfer.
         transfer: full harmonics; None where only lobes are known.
-        retrace: transfer of the canvas as it is posed; called in a thread of its own. None where
-            no rays can tell.
+        retrace: transfer of the canvas as it is posed; called beside the frames, in another
+            thread. None where no rays can tell.
         file_bytes: of the field's file; None where there is none.
 
     Raises:
