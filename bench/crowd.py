@@ -15,6 +15,7 @@ from prtnet.cli_view import cast_of
 from prtnet.environment import environment
 from runtime.gl import create_context
 from runtime.show import Show
+from runtime.studio import Studio
 from runtime.view import View
 
 COUNTS = (1, 3, 10, 30, 100)
@@ -48,7 +49,7 @@ def main() -> None:
     with context:
         device = str(context.info["GL_RENDERER"])
         for name, (file, scene, clip) in CHARACTERS.items():
-            show = Show(context, cast_of(OUT / file, scene_path(scene), 1, 2), environment)
+            show = Show(context, cast_of(OUT / file, scene_path(scene), 1, 2), Studio(environment))
             found = show.actor.scene.clip(clip)
             view = View(clip, found.start, brdf="gold", distance=3.0, playing=True)
             for count in COUNTS:

@@ -273,11 +273,10 @@ class ViewerLoop:
         view.playing, view.time = False, rng.uniform(clip.start, clip.end)
         view.azimuth, view.elevation = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(-1.5, 1.5)
         view.distance, view.light_turn = rng.uniform(0.1, 3.0), rng.uniform(0.0, 360.0)
-        made = bool(viewer.show.waiting)
+        made = viewer.show.waiting or viewer.opening.busy
         viewer.step(1.0 / 60.0)
-        told = viewer.message
-        assert told == "" or " on " in told or told.startswith("opening "), told
-        if not changed and (made or viewer.show.waiting):
+        assert viewer.message == "" or " on " in viewer.message, viewer.message
+        if not changed and (made or viewer.show.waiting or viewer.opening.busy):
             changed = ["what is made in the background"]
         return " and ".join(changed), bool(np.isfinite(viewer.show.screen.linear()).all())
 

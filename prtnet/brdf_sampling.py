@@ -113,7 +113,7 @@ SAMPLERS: WeakKeyDictionary[BRDF, BRDFSampler] = WeakKeyDictionary()
 
 
 def brdf_sampler(brdf: BRDF) -> BRDFSampler:
-    """A sampler of a BRDF, made once for as long as anybody has the BRDF: it takes megabytes."""
+    """A sampler of a BRDF, made once; it takes megabytes, and goes with the BRDF it was made of."""
     found = SAMPLERS.get(brdf)
     if found is None:
         found = SAMPLERS[brdf] = BRDFSampler(brdf)

@@ -46,6 +46,7 @@ def opened_viewer(
     """
     from runtime.base_viewer import in_window
     from runtime.show import Show
+    from runtime.studio import Studio
     from runtime.view import View
     from runtime.viewer import Desk, Viewer
 
@@ -71,7 +72,7 @@ def opened_viewer(
     )  # fmt: skip
     return in_window(
         f"prtnet: {options.model.name}", options.size, visible,
-        lambda window: Viewer(window, Show(window.ctx, cast, environments), view, desk),
+        lambda window: Viewer(window, Show(window.ctx, cast, Studio(environments)), view, desk),
     )  # fmt: skip
 
 

@@ -71,7 +71,9 @@ class Console:
             return
         table = rich.table.Table(title=title, title_justify="left", box=None, pad_edge=False)
         for index, column in enumerate(columns):
-            table.add_column(column, justify="right" if index else "left", overflow="fold")
+            table.add_column(
+                rich.markup.escape(column), justify="right" if index else "left", overflow="fold"
+            )
         for row in rows:
             table.add_row(*(rich.markup.escape(str(cell)) for cell in row))
         self._output.print(table)
@@ -94,8 +96,9 @@ class Console:
         """A table of parts: a row for each, with columns where all of them have the same parts."""
         inner = {n: part for n, part in parts.items() if isinstance(part, Mapping)}
         columns = [""]
-        rows = [[words(n), shown(part)] for n, part in parts.items() if n not in inner]
-        if inner and not rows and len({tuple(part) for part in inner.values()}) == 1:
+        rows = [[n, shown(part)] for n, part in parts.items() if n not in inner]
+        deep = any(isinstance(v, Mapping) for part in inner.values() for v in part.values())
+        if inner and not (rows or deep) and len({tuple(part) for part in inner.values()}) == 1:
             columns = list(map(words, next(iter(inner.values()))))
             rows = [[key, *map(shown, part.values())] for key, part in inner.items()]
             inner = {}
@@ -103,7 +106,7 @@ class Console:
             self._output.print()
             self.table([name, *columns], rows)
         for key, part in inner.items():
-            self._parts(f"{name}, {words(key)}", part)
+            self._parts(f"{name}, {key}", part)
 
     @contextlib.contextmanager
     def progress(self) -> Iterator[Report]:

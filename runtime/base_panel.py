@@ -77,6 +77,8 @@ class BasePanel:
         imgui, viewer = self.imgui, self.viewer
         if viewer.show.waiting:
             imgui.text(viewer.show.waiting)
+        if viewer.opens:
+            imgui.text(f"opening {viewer.opens}")
         if viewer.message:
             imgui.text_wrapped(viewer.message)
         imgui.text_disabled("H: help")

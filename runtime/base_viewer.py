@@ -135,6 +135,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
     Attributes:
         modes: what the keys 1, 2, … show.
         help: keys, and what they do.
+        opens: the name of the file that is being opened.
         kinds: of files that may fall on the window, by their suffix: one of ``CHANGED``, or what
             ``take_files`` takes.
     """
@@ -152,6 +153,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
         self.mouse: tuple[int, int] | None = None
         self.saving: Iterator[str] | None = None
         self.opening: Background[Any] = Background()
+        self.opens = ""
         self.finish: Callable[[], None] | None = None  # to open what is being opened
         view.playing = True
         self.good = dataclasses.replace(view)
@@ -194,7 +196,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
         """One frame, so many seconds after the last."""
         self.window.use()
         self.imgui.get_io().delta_time = max(elapsed, 1e-4)
-        if not self.opening.busy:
+        if self.saving is None and min(self.window.buffer_size) and not self.opening.busy:
             self.opened()
         if self.saving is not None:
             self.save_on()
@@ -337,7 +339,6 @@ class BaseViewer(ABC, Generic[S, V, D]):
 
     def dropped(self, _x: int, _y: int, paths: list[Any]) -> None:
         """Files fell on the window: lights, and what else can be shown."""
-        self.opened()
         self.message = ""
         found: dict[str, Path] = {}
         for path in map(Path, paths):
@@ -350,6 +351,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
             else:
                 found[kind] = path
         if found:
+            self.opened()
             self.take_files(found)
 
     def open(
@@ -368,7 +370,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
             fail: is told why it cannot be shown; tells it in the panel if it is not given.
         """
         self.opened()
-        self.message = f"opening {name}"
+        self.opens = name
         self.opening.begin(make, make)
 
         def finish() -> None:
@@ -384,7 +386,8 @@ class BaseViewer(ABC, Generic[S, V, D]):
     def opened(self) -> None:
         """Show what is being opened, if anything is; it is waited for."""
         if self.finish is not None:
-            finish, self.finish = self.finish, None
+            finish, self.finish, self.opens = self.finish, None, ""
+            self.stop_saving()
             finish()
             self.opening.release()  # it is held by who shows it
             hand_back()
@@ -429,6 +432,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
     def release(self) -> None:
         """Give everything back but the window, and the panel's library, which goes with it."""
         self.stop_saving()
+        self.finish = None
         self.opening.release()
         self.show.release()
 

@@ -24,7 +24,7 @@ class Cast:
     Attributes:
         actor: the model and its scene.
         predict: poses (P, D) to visibility (P, V, n²).
-        trace: the true visibility (V, n²) of one pose (1, D); called beside the frames, in another thread.
+        trace: the true visibility (V, n²) of one pose (1, D); called in another thread.
         radiance: the true light of one pose; likewise.
         latents: poses (P, D) to latents (P, Σ latents) as a shader wants them, and the model's
             tables, where predictions are to be rebuilt on the GPU.

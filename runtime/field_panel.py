@@ -31,7 +31,7 @@ class FieldPanel(BasePanel):
             chosen = self.choose("on", worn.name, viewer.desk.built_in)
             if chosen != worn.name:
                 viewer.opened()
-                viewer.reopen(viewer.desk.field, chosen)
+                viewer.reopen(viewer.desk.field, chosen, chosen)
                 return
         if worn.scene is not None:
             names = [clip.name for clip in worn.scene.clips]

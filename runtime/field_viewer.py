@@ -59,17 +59,24 @@ class FieldViewer(BaseViewer[FieldShow, FieldView, FieldDesk]):
     def take_files(self, found: Mapping[str, Path]) -> None:
         """Show another field, or this one on something else."""
         on = str(found["on"]) if "on" in found else self.desk.on
-        self.reopen(found.get("field", self.desk.field), on)
+        name = " and ".join(path.name for path in found.values())
+        self.reopen(found.get("field", self.desk.field), on, name)
 
-    def reopen(self, field: Path, on: str | None) -> None:
-        """Show a field on something; what cannot be shown is told, and what is there stays."""
+    def reopen(self, field: Path, on: str | None, name: str) -> None:
+        """Show a field on something; what cannot be shown is told, and what is there stays.
+
+        Args:
+            field: its file.
+            on: what it is to be on.
+            name: what of both is opened.
+        """
 
         def take(cast: FieldCast) -> str:
             self.take(cast)
             self.desk.field, self.desk.on = field, on
             return f"{field.name} on {Path(cast.worn.name).name}"
 
-        self.open(field.name if on is None else on, partial(self.desk.open_files, field, on), take)
+        self.open(name, partial(self.desk.open_files, field, on), take)
 
     def take(self, cast: FieldCast) -> None:
         """Show another field, as this one is shown, if it can be.

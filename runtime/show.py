@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from prtnet.arrays import FloatArray
 from prtnet.brdf import BRDF, Lambert
-from prtnet.environment import Environment, about_up
+from prtnet.environment import about_up
 from prtnet.materials import brdf_named, material
 from prtnet.one_dimensional import OneDimensional
 from prtnet.reflection import ReflectionOperator
@@ -31,7 +31,6 @@ from runtime.looks import (
     cut_lobes,
     cut_visibility,
     heat_colours,
-    lobes_of,
     open_visibility,
     shaded_lobes,
     white_light,
@@ -50,6 +49,7 @@ from runtime.posed_surface import (
 from runtime.reflected import Subject
 from runtime.sight import Sight
 from runtime.stage import Stage
+from runtime.studio import Studio
 from runtime.vertex_sphere import inset_of, receiver_at
 from runtime.view import UNLIT, View, framing
 
@@ -64,33 +64,20 @@ class Show(Sight[View]):
     Args:
         context: OpenGL that everything lives in; it must be current at every call.
         cast: the character.
-        environments: lights by name.
-        fits: of the lights, from another character's.
+        studio: lights and materials; it outlives the character.
 
     Attributes:
         error_top: what is at the end of the error's colours, per cent of an open vertex.
-        fits: the lobes of lights by name, order and number of lobes, each fitted once.
     """
 
     unlit = UNLIT
 
-    def __init__(
-        self,
-        context: moderngl.Context,
-        cast: Cast,
-        environments: Callable[[str], Environment],
-        fits: dict[tuple[str, int, int | None], Lobes] | None = None,
-    ) -> None:
-        self.cast, self.actor = cast, cast.actor
-        self.fits = {} if fits is None else fits
+    def __init__(self, context: moderngl.Context, cast: Cast, studio: Studio) -> None:
+        self.cast, self.actor, self.studio = cast, cast.actor, studio
         self.order = cast.actor.model.order
         self.error_top = 0.0
         self._truth: Background[FloatArray] = Background()
         self._radiance: Background[FloatArray] = Background()
-        self._material: Background[ReflectionOperator] = Background()
-        self._light: Background[Lobes] = Background()
-        self._operator: ReflectionOperator | None = None
-        self._brdf: tuple[str, BRDF] | None = None
         self._lit: tuple[str, int | None] | None = None  # the light that was drawn last
         self._posed: tuple[Any, FloatArray] | None = None
         self._subject: tuple[Any, Subject] | None = None
@@ -105,7 +92,7 @@ class Show(Sight[View]):
         self._matte = material(brdf_named("matte"), order=self.order)
         self.rebuilt: Stage | None = None
         self.lobed: dict[int, OneDimensionalStage] = {}  # by the number of lobes
-        super().__init__(context, environments)
+        super().__init__(context, studio.environments)
         try:
             self.stage = self.keep(Stage(context, self.order))
             self.painted = self.keep(Painted(context))
@@ -121,9 +108,13 @@ class Show(Sight[View]):
         return {
             "tracing visibility": self._truth,
             "tracing the truth": self._radiance,
-            "making the material": self._material,
-            "fitting the light": self._light,
+            **self.studio.tasks,
         }
+
+    @property
+    def lasting(self) -> Collection[Background[Any]]:
+        """The studio's."""
+        return self.studio.tasks.values()
 
     def parts(self) -> dict[str, int | None]:
         """Bytes of the model's file, and of what it needs on the GPU."""
@@ -432,7 +423,7 @@ class Show(Sight[View]):
 
     def settle(self, view: View) -> None:
         """Wait for everything that a view needs; nothing of it is then missing or old."""
-        self._fitted(view, wait=True)
+        self.lit(view)
         if not isinstance(self.brdf(view), OneDimensional):
             self.operator(view, wait=True)
         if {"visibility", "error"} & set(view.modes):
@@ -446,38 +437,16 @@ class Show(Sight[View]):
         Raises:
             PrtnetError: there is none of that name.
         """
-        if self._brdf is None or self._brdf[0] != view.brdf:
-            self._brdf = view.brdf, brdf_named(view.brdf, bool(self.actor.model.lobes))
-        return self._brdf[1]
+        return self.studio.brdf(view.brdf, bool(self.actor.model.lobes))
 
     def operator(self, view: View, wait: bool = False) -> ReflectionOperator:
         """The material, made in the background; the last one until then."""
-        brdf, factors = self.brdf(view), view.factors
-        found = self._material.get(
-            (view.brdf, factors),
-            lambda: material(brdf, factors, self.order),
-            wait or self._operator is None,
-        )
-        self._operator = self._operator if found is None else found
-        assert self._operator is not None
-        return self._operator
-
-    def _fitted(self, view: View, wait: bool = False) -> Lobes | None:
-        """The lobes of the light as it was given, fitted in the background; None until then."""
-        name, lobes, order = view.light, view.lobes, self.order
-        key = name, order, lobes
-        if key not in self.fits:
-            found = self._light.get(
-                key, lambda: lobes_of(self.environments(name).harmonics(order), lobes), wait
-            )
-            if found is None:
-                return None
-            self.fits[key] = found
-        return self.fits[key]
+        return self.studio.operator(view.brdf, self.brdf(view), view.factors, self.order, wait)
 
     def drawable(self, view: View) -> View:
         """The view, in the light that was drawn last until its own has been fitted."""
-        if self._fitted(view, wait=self._lit is None) is not None:
+        wait = self._lit is None
+        if self.studio.lobes(view.light, self.order, view.lobes, wait) is not None:
             self._lit = view.light, view.lobes
             return view
         assert self._lit is not None
@@ -485,7 +454,7 @@ class Show(Sight[View]):
 
     def lit(self, view: View) -> Lobes:
         """The lobes of the light, turned."""
-        found = self._fitted(view, wait=True)
+        found = self.studio.lobes(view.light, self.order, view.lobes, wait=True)
         assert found is not None
         return found.rotated(about_up(view.light_turn))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time as clock
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, ClassVar, Generic, TypeVar
 
 import moderngl
@@ -63,6 +63,11 @@ class Sight(ABC, Generic[V]):
     def tasks(self) -> Mapping[str, Background[Any]]:
         """What may be made in the background, by words for it."""
         return {}
+
+    @property
+    def lasting(self) -> Collection[Background[Any]]:
+        """Those of the tasks that outlive this."""
+        return ()
 
     @abstractmethod
     def framed(self, view: V) -> Camera:
@@ -126,7 +131,8 @@ class Sight(ABC, Generic[V]):
     def release(self) -> None:
         """Give everything back but the context; what is being made is waited for."""
         for task in self.tasks.values():
-            task.release()
+            if task not in self.lasting:
+                task.release()
         for held in self._made:
             held.release()
         self._made = []
@@ -148,6 +154,7 @@ class Sight(ABC, Generic[V]):
         """Draw a view into a framebuffer of this size."""
         started = clock.perf_counter()
         self.milliseconds = {}
+        failed = [task for task in self.tasks.values() if task.unheard]
         view = self.drawable(view)
         camera = self.camera(view)
         frame = self.screen.clear(size)
@@ -164,6 +171,9 @@ class Sight(ABC, Generic[V]):
         if view.light not in self.exposures and self._expose(view, split):
             self.draw(view, size, target)  # also what is at an exposure of its own
             return
+        for task in failed:
+            if task.unheard:  # nobody has asked for it any more
+                task.release()
         self.screen.present(target, exposure)
         self.lay_over(view, size, target)
         self.milliseconds["frame"] = 1e3 * (clock.perf_counter() - started)

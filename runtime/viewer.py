@@ -103,4 +103,4 @@ class Viewer(BaseViewer[Show, View, Desk]):
         view.blend_clip, view.blend, view.pan, view.vertex = "", 0.0, (0.0, 0.0), None
         view.order = view.order if view.order < cast.actor.model.order else 0
         self.window.use()
-        self.replace(Show(self.window.ctx, cast, self.show.environments, self.show.fits), view)
+        self.replace(Show(self.window.ctx, cast, self.show.studio), view)

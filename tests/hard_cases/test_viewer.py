@@ -19,6 +19,7 @@ from prtnet.environment import environment
 from runtime.cast import Cast
 from runtime.gl import create_context
 from runtime.show import Show
+from runtime.studio import Studio
 from runtime.view import View
 from tests.hard_cases.measured import above, says
 from tests.prtnet.test_exr import write
@@ -126,7 +127,7 @@ def test_opengl_without_timers_tells_no_milliseconds_of_it_and_draws_the_same(mo
             monkeypatch.setattr(moderngl.Context, "query", no_queries)
         context = create_context()
         with context:
-            show = Show(context, cast, environment)
+            show = Show(context, cast, Studio(environment))
             target = context.simple_framebuffer((96, 72))
             for _ in range(3):
                 show.draw(View("bend", 1.0, brdf="gold"), (96, 72), target)

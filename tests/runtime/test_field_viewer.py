@@ -357,7 +357,7 @@ def test_files_that_fall_on_the_window_are_shown(opened, files, tmp_path):
     drop(files / "lobes.safetensors")
     assert found.message == "lobes.safetensors on arm.glb"
     assert found.show.cast.transfer is None
-    found.reopen(files / "raw.safetensors", "plane")
+    found.reopen(files / "raw.safetensors", "plane", "plane")
     found.opened()
     assert found.message == "raw.safetensors on plane"
     assert found.view.clip == ""

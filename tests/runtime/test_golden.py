@@ -30,6 +30,7 @@ from runtime.gl import create_context
 from runtime.looks import cut_visibility
 from runtime.picture import save_png
 from runtime.show import Show
+from runtime.studio import Studio
 from runtime.view import View
 from tests.runtime.test_posed_surface import modelled
 
@@ -73,7 +74,7 @@ def show() -> Iterator[Show]:
         raise AssertionError("no picture here is of traced light")
 
     with context:
-        found = Show(context, Cast(actor, predict, trace, radiance), environment)
+        found = Show(context, Cast(actor, predict, trace, radiance), Studio(environment))
         yield found
         found.release()
     context.release()

@@ -24,6 +24,7 @@ from runtime.gl import create_context
 from runtime.picture import develop
 from runtime.posed_surface import posed_subject
 from runtime.show import Show, View
+from runtime.studio import Studio
 from tests.models import random_model, random_poses
 from tests.priors import beside_prior, random_prior, sheet_with_prior
 from tests.runtime.shader import WEB, shaded
@@ -204,7 +205,7 @@ def test_pictures_are_those_of_numpy(kind, storage, graph):
             actor, model, lambda _: model(poses)[0], lambda *_: model(poses)[0, :, :3], latents,
             occluders=occluders,
         )  # fmt: skip
-        show = Show(context, cast, environment)
+        show = Show(context, cast, Studio(environment))
         show.screen.samples = 0
         show.operator(view, wait=True)
         target = context.framebuffer([context.texture(SIZE, 4)])

@@ -30,6 +30,7 @@ from runtime.painted import Painted
 from runtime.screen import Screen
 from runtime.show import Show
 from runtime.stage import Stage
+from runtime.studio import Studio
 from runtime.view import MODES, View
 from tests.all_frequency import random_field
 from tests.models import random_model, random_poses
@@ -200,7 +201,7 @@ def test_pictures_leave_nothing_behind(context, books):
         return np.stack([latents_of(actor.model, tables, pose) for pose in poses])
 
     cast = Cast(actor, actor.model, *tracers(actor, 16, 1), (latents, tables))
-    show = Show(context, cast, environment)
+    show = Show(context, cast, Studio(environment))
     view = View("bend", 1.0, brdf="gold", split=0.5, right="ambient", vertex=(3, False))
     held = []
     for _ in range(3):

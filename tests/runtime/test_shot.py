@@ -17,6 +17,7 @@ from runtime.gl import create_context
 from runtime.looks import lobes_of
 from runtime.shot import Posed, Shot
 from runtime.show import Show
+from runtime.studio import Studio
 from runtime.view import MODES, Mode, View, framing
 from tests.runtime.test_posed_surface import modelled
 
@@ -65,7 +66,7 @@ def alike(actor: ModelledScene, mode: Mode, brdf: str) -> None:
     context = create_context()
     with context:
         cast = Cast(actor, actor.model, *tracers(actor, RAYS, 1))
-        show = Show(context, cast, environment)
+        show = Show(context, cast, Studio(environment))
         show.screen.samples = 0
         show.settle(view)
         view.vertex = (25, False)

@@ -36,6 +36,7 @@ from runtime.posed_surface import posed_subject
 from runtime.reflected import Side, Subject
 from runtime.show import Show
 from runtime.stage import Stage
+from runtime.studio import Studio
 from runtime.view import MODES, View
 from runtime.viewer import Desk, Viewer
 from tests.models import random_model
@@ -85,7 +86,7 @@ def viewer(window: Any, tmp_path: Path) -> Iterator[Viewer]:
     view = View("bend", brdf="phong")
     desk = Desk(["studio", "sky"], tmp_path, lambda _: None, ["matte", "gold"],
                 lambda *_: cast(), Path("a.safetensors"), Path("a.glb"))  # fmt: skip
-    found = Viewer(window, Show(window.ctx, cast(), environment), view, desk)
+    found = Viewer(window, Show(window.ctx, cast(), Studio(environment)), view, desk)
     found.view.playing = False
     found.first.playing = False
     yield found
@@ -355,7 +356,7 @@ def test_what_fails_while_a_picture_is_drawn_is_told_by_the_next(viewer, monkeyp
 
     def slow(*given: Any) -> None:
         draw(*given)
-        viewer.show._material.future.exception()
+        viewer.show.studio._making.future.exception()
 
     monkeypatch.setattr(viewer.show, "draw", slow)
     viewer.picture()
@@ -652,7 +653,7 @@ def test_the_exponent_of_lobes_is_live(window, tmp_path, monkeypatch):
     view = View("bend", brdf="lobe:exponent=4,transmitted=0.2")
     desk = Desk(["studio"], tmp_path, lambda _: None, ["matte"], lambda *_: cast(),
                 Path("a.safetensors"), Path("a.glb"))  # fmt: skip
-    found = Viewer(window, Show(window.ctx, cast(actor), environment), view, desk)
+    found = Viewer(window, Show(window.ctx, cast(actor), Studio(environment)), view, desk)
     found.view.playing = False
     found.step(0.0)
     first = read(found)
@@ -784,13 +785,13 @@ def test_what_is_there_is_shown_until_another_is_opened(viewer, tmp_path):
     try:
         for _ in range(3):
             viewer.step(0.0)
-            assert viewer.message == "opening one.safetensors"
+            assert viewer.opens == "one.safetensors"
             assert viewer.show is shown
     finally:
         threading.Timer(0.2, gate.set).start()
     viewer.dropped(0, 0, ["two.glb"])  # only goes on when the first is there
     assert viewer.desk.model == Path("one.safetensors")
-    assert viewer.message == "opening two.glb"
+    assert viewer.opens == "two.glb"
     while viewer.finish is not None:
         viewer.step(0.0)
     assert viewer.message == "one.safetensors on two.glb"
@@ -804,6 +805,62 @@ def test_what_is_there_is_shown_until_another_is_opened(viewer, tmp_path):
     assert viewer.show is shown
 
 
+def test_a_window_that_cannot_be_drawn_on_opens_nothing_yet(viewer, tmp_path, monkeypatch):
+    """Minimised, or saved from: then what is opened waits, whatever has come of it."""
+    shown = viewer.show
+    viewer.dropped(0, 0, ["one.safetensors"])
+    viewer.opening.future.exception()
+    with monkeypatch.context() as patch:
+        patch.setattr(type(viewer.window), "buffer_size", (0, 0))
+        viewer.step(0.0)
+    assert viewer.show is shown
+    before = viewer.view.azimuth
+    press(viewer, "T")
+    for _ in range(3):
+        viewer.step(0.0)
+    assert viewer.show is shown
+    assert viewer.view.azimuth != before
+    viewer.opened()
+    assert viewer.saving is None
+    assert viewer.show is not shown
+    assert viewer.view.azimuth == viewer.first.azimuth == before
+
+
+def test_a_complaint_stays_until_there_is_another_result(viewer):
+    def fails(*files: Path) -> Cast:
+        raise PrtnetError(files[0], "is no model")
+
+    viewer.desk.open_files = fails
+    viewer.dropped(0, 0, ["bad.safetensors"])
+    viewer.desk.open_files = lambda *_: cast()
+    viewer.dropped(0, 0, ["good.safetensors"])
+    assert viewer.message == "bad.safetensors: is no model"
+    viewer.opened()
+    assert viewer.message == "good.safetensors on a.glb"
+
+
+def test_what_fails_when_nobody_wants_it_any_more_is_forgotten(viewer, monkeypatch):
+    gate = threading.Event()
+
+    def fails(*_: Any) -> None:
+        gate.wait(5.0)
+        raise PrtnetError("light", "is too bright")
+
+    viewer.step(0.0)
+    monkeypatch.setattr("runtime.studio.lobes_of", fails)
+    viewer.change("light", "sky")
+    viewer.step(0.0)
+    viewer.change("light", "studio")
+    gate.set()
+    viewer.show.studio._fitting.future.exception()
+    assert viewer.show.failing
+    viewer.view.azimuth = 2.0
+    viewer.step(0.0)
+    assert not viewer.show.failing
+    assert viewer.good.azimuth == 2.0
+    assert viewer.message == ""
+
+
 def test_the_last_light_shines_until_another_is_fitted(viewer, monkeypatch):
     gate, fitted = threading.Event(), []
 
@@ -813,7 +870,7 @@ def test_the_last_light_shines_until_another_is_fitted(viewer, monkeypatch):
         return lobes_of(light, count)
 
     before = read(viewer)
-    monkeypatch.setattr("runtime.show.lobes_of", slowly)
+    monkeypatch.setattr("runtime.studio.lobes_of", slowly)
     viewer.change("light", "sky")
     try:
         viewer.step(0.0)
@@ -826,14 +883,20 @@ def test_the_last_light_shines_until_another_is_fitted(viewer, monkeypatch):
         gate.set()
     after = read(viewer)
     assert np.abs(after - before).max() > 5
+    gate.clear()
+    viewer.change("light", "top")
+    viewer.step(0.0)
     shown = viewer.show
-    viewer.take(cast())
+    threading.Timer(0.2, gate.set).start()
+    viewer.take(cast())  # while it is being fitted
     assert viewer.show is not shown
+    viewer.show.settle(viewer.view)
+    viewer.change("light", "sky")
     assert np.abs(read(viewer) - after).max() <= 1
     viewer.change("light", "studio")
     viewer.step(0.0)
     assert viewer.show.waiting == ""
-    assert fitted == [viewer.view.lobes]  # once for all characters
+    assert len(fitted) == 2  # each once for all characters
 
 
 def test_a_character_that_cannot_be_drawn_gives_back_what_it_took(viewer, monkeypatch):

@@ -1,0 +1,82 @@
+"""Lights and materials of the viewer, made beside its frames, for one character after another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from prtnet.brdf import BRDF
+from prtnet.environment import Environment
+from prtnet.materials import brdf_named, material
+from prtnet.reflection import ReflectionOperator
+from prtnet.zh import Lobes
+from runtime.background import Background
+from runtime.looks import lobes_of
+
+__all__ = ["Studio"]
+
+
+class Studio:
+    """What shines on characters and what they are made of.
+
+    Args:
+        environments: lights by name.
+    """
+
+    def __init__(self, environments: Callable[[str], Environment]) -> None:
+        self.environments = environments
+        self._fits: dict[tuple[str, int, int | None], Lobes] = {}  # a few KB each
+        self._fitting: Background[Lobes] = Background()
+        self._making: Background[ReflectionOperator] = Background()
+        self._operators: dict[int, ReflectionOperator] = {}  # by order, the last made of each
+        self._brdf: tuple[tuple[str, bool], BRDF] | None = None
+
+    @property
+    def tasks(self) -> Mapping[str, Background[Any]]:
+        """What is made, by words for it."""
+        return {"making the material": self._making, "fitting the light": self._fitting}
+
+    def brdf(self, name: str, lobes: bool) -> BRDF:
+        """The reflectance of a name, the same object as long as no other is asked for.
+
+        Args:
+            name: as in ``prtnet render``.
+            lobes: whether it may be one of visibility in lobes.
+
+        Raises:
+            PrtnetError: there is none of that name.
+        """
+        if self._brdf is None or self._brdf[0] != (name, lobes):
+            self._brdf = (name, lobes), brdf_named(name, lobes)
+        return self._brdf[1]
+
+    def operator(
+        self, name: str, brdf: BRDF, factors: int, order: int, wait: bool = False
+    ) -> ReflectionOperator:
+        """A material of so many factors and bands; until it is made the last one of that order."""
+        found = self._making.get(
+            (name, factors, order),
+            lambda: material(brdf, factors, order),
+            wait or order not in self._operators,
+        )
+        if found is not None:
+            self._operators[order] = found
+        return self._operators[order]
+
+    def lobes(self, name: str, order: int, count: int | None, wait: bool = False) -> Lobes | None:
+        """The lobes of a light as it was given, fitted once; None until then.
+
+        Args:
+            name: of the light.
+            order: its bands.
+            count: its lobes, as for :func:`runtime.looks.lobes_of`.
+            wait: until it is there.
+        """
+        key = name, order, count
+
+        def fit() -> Lobes:
+            found = lobes_of(self.environments(name).harmonics(order), count)
+            self._fits[key] = found  # also if another light is asked for meanwhile
+            return found
+
+        return self._fits[key] if key in self._fits else self._fitting.get(key, fit, wait)
