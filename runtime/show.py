@@ -78,7 +78,6 @@ class Show(Sight[View]):
         self.error_top = 0.0
         self._truth: Background[FloatArray] = Background()
         self._radiance: Background[FloatArray] = Background()
-        self._lit: tuple[str, int | None] | None = None  # the light that was drawn last
         self._posed: tuple[Any, FloatArray] | None = None
         self._subject: tuple[Any, Subject] | None = None
         self._predicted: tuple[Any, FloatArray] | None = None
@@ -445,12 +444,12 @@ class Show(Sight[View]):
 
     def drawable(self, view: View) -> View:
         """The view, in the light that was drawn last until its own has been fitted."""
-        wait = self._lit is None
+        lit = self.studio.lit
+        wait = self.order not in lit
         if self.studio.lobes(view.light, self.order, view.lobes, wait) is not None:
-            self._lit = view.light, view.lobes
-            return view
-        assert self._lit is not None
-        return replace(view, light=self._lit[0], lobes=self._lit[1])
+            lit[self.order] = view.light, view.lobes
+        light, lobes = lit[self.order]
+        return replace(view, light=light, lobes=lobes)
 
     def lit(self, view: View) -> Lobes:
         """The lobes of the light, turned."""

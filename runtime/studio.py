@@ -21,10 +21,14 @@ class Studio:
 
     Args:
         environments: lights by name.
+
+    Attributes:
+        lit: by order the light that was drawn last, and the number of its lobes.
     """
 
     def __init__(self, environments: Callable[[str], Environment]) -> None:
         self.environments = environments
+        self.lit: dict[int, tuple[str, int | None]] = {}
         self._fits: dict[tuple[str, int, int | None], Lobes] = {}  # a few KB each
         self._fitting: Background[Lobes] = Background()
         self._making: Background[ReflectionOperator] = Background()

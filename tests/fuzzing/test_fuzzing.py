@@ -184,7 +184,7 @@ def test_arrays_of_a_dataset_that_do_not_fit(
         ("held_out", ["no such clip"], "held_out names"),
         ("clip_names", [1, 2, 3], "no list of names"),
         ("joint_names", ["\ud800", "b"], "surrogates"),
-        ("scene_kind", "liquid", "no kind of scene"),
+        ("scene_kind", "liquid", "scene_kind is neither"),
     ],
 )
 def test_attributes_of_a_dataset_that_are_none(

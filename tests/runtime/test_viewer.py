@@ -887,9 +887,11 @@ def test_the_last_light_shines_until_another_is_fitted(viewer, monkeypatch):
     viewer.change("light", "top")
     viewer.step(0.0)
     shown = viewer.show
-    threading.Timer(0.2, gate.set).start()
     viewer.take(cast())  # while it is being fitted
     assert viewer.show is not shown
+    assert viewer.show.waiting == "fitting the light"
+    assert "top" not in viewer.show.exposures
+    gate.set()
     viewer.show.settle(viewer.view)
     viewer.change("light", "sky")
     assert np.abs(read(viewer) - after).max() <= 1
