@@ -245,10 +245,10 @@ class Dataset:
             check_stored(path, array)
         poses = self._arrays["visibility"].shape[:1]
         every = HEADERS in self.attributes  # datasets of old leave chunks of zeros out
-        for name in POSE_ARRAYS + fixed if every else POSE_ARRAYS:
-            array = self._arrays[name]
-            short = name in POSE_ARRAYS and array.shape[:1] != poses
-            if short or array.nchunks_initialized != array.nchunks:
+        for name, array in self._arrays.items():
+            by_pose = name in POSE_ARRAYS
+            other = array.shape[:1] != poses if by_pose else array.nchunks > 1
+            if other or ((by_pose or every) and array.nchunks_initialized != array.nchunks):
                 raise PrtnetError(path, f"array '{name}' is not whole; {MEND}")
         for name in fixed:
             setattr(self, name, self.read(name))
