@@ -27,7 +27,7 @@ from prtnet.dataset import (
 from prtnet.dataset_checks import check_folder
 from prtnet.dataset_writer import DatasetWriter, create, writable
 from prtnet.errors import PrtnetError
-from prtnet.places import damage, place, put, remove_place, sizes, store, there
+from prtnet.places import damage, is_remote, place, put, remove_place, sizes, store, there
 
 __all__ = ["DatasetRepair"]
 
@@ -118,9 +118,14 @@ class DatasetRepair(DatasetWriter):
 
     def _whole(self, name: str, number: int) -> bool:
         """Whether a block of an array is there and has its checksum."""
+        array, file = array_of(self._group, name), self._file(name, number)
+        return there(file) and not folder_at(file) and readable(array, number, damage(self.path))
+
+    def _file(self, name: str, number: int) -> Path:
+        """Where a block of an array is."""
         array = array_of(self._group, name)
         key = array.metadata.encode_chunk_key((number, *(0,) * (array.ndim - 1)))
-        return there(self.path / name / key) and readable(array, number, damage(self.path))
+        return self.path / name / key
 
     def missing(self) -> list[int]:
         """Blocks of which an array is damaged or missing."""
@@ -130,6 +135,8 @@ class DatasetRepair(DatasetWriter):
         """Write the damaged arrays of a block again."""
         with self._disk():
             for name in self.bad[block]:
+                if folder_at(file := self._file(name, block)):
+                    remove_place(file)
                 writable(self._group, name)[self.span(block)] = getattr(values, name)
                 self.mended.append(f"block {block} of {name}")
 
@@ -138,3 +145,8 @@ class DatasetRepair(DatasetWriter):
         with self._disk():
             self._clear(self.path)
         return self.path
+
+
+def folder_at(path: Path) -> bool:
+    """Whether there is a folder where a file should be; stores have none."""
+    return not is_remote(path) and path.is_dir()

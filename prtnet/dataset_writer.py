@@ -26,6 +26,7 @@ from prtnet.dataset import (
     array_of,
     header_sums,
 )
+from prtnet.dataset_checks import check_folder
 from prtnet.errors import PrtnetError
 from prtnet.places import (
     COPYING,
@@ -37,6 +38,7 @@ from prtnet.places import (
     publish,
     reason,
     remove_place,
+    sizes,
     store,
     there,
 )
@@ -85,7 +87,7 @@ class DatasetWriter:
                 raise FileNotFoundError(2, f"the folder {self.path.parent} does not exist")
             left = self._left()
             half = self._require_own(left)
-            self.resumed = there(self._started)
+            self.resumed = there(self._started) and (join or self._sound(fixed))
             if self.resumed:
                 self._group = zarr.open_group(store(self.partial), mode="r+", zarr_format=3)
                 return
@@ -101,7 +103,18 @@ class DatasetWriter:
                 discard(other, MARKERS)
             self._group = create(self.partial, attributes, fixed, poses, block)
             self._markers.mkdir(exist_ok=True)
-            self._started.touch()
+            self._started.write_text(ground_sum(self.partial, fixed), encoding="ascii")
+
+    def _sound(self, fixed: Mapping[str, Any]) -> bool:
+        """Whether what stands there before the first block is as it was written."""
+        check_folder(self.partial)
+        try:
+            written = self._started.read_text(encoding="ascii")
+            return written == ground_sum(self.partial, fixed)
+        except UnicodeDecodeError:
+            return False
+        except failures(self.path):
+            return False
 
     def _left(self) -> list[Path]:
         """What runs of any options left that were stopped."""
@@ -241,6 +254,17 @@ def fingerprint_of(
     for name in sorted(fixed):
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(fixed[name]).tobytes())
+    return digest.hexdigest()
+
+
+def ground_sum(folder: Path, fixed: Mapping[str, Any]) -> str:
+    """SHA-256 of what a dataset is begun with: headers, and arrays that no pose changes."""
+    names = ["zarr.json", *(f"{name}/zarr.json" for name in POSE_ARRAYS)]
+    names += [f"{name}/{file}" for name in sorted(fixed) for file in sorted(sizes(folder / name))]
+    digest = hashlib.sha256()
+    for name in names:
+        data = (folder / name).read_bytes()
+        digest.update(f"{name} {len(data)} ".encode() + data)
     return digest.hexdigest()
 
 

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from prtnet.dataset import HEADERS, Dataset
+from prtnet.dataset import HEADERS, POSE_ARRAYS, Dataset
+from prtnet.dataset_repair import DatasetRepair
+from prtnet.dataset_writer import DatasetWriter
 from prtnet.errors import PrtnetError
 from tests.hard_cases.measured import refuses, says
-from tests.prtnet.test_dataset import whole, write
+from tests.prtnet.test_dataset import (
+    ATTRIBUTES,
+    BLOCK,
+    POSES,
+    fixed,
+    part,
+    whole,
+    write,
+    writer,
+)
 
 ARRAYS = 17
 
@@ -21,11 +33,25 @@ def path(tmp_path: Path) -> Path:
     return write(tmp_path / "set.zarr").path
 
 
+def files(path: Path) -> list[Path]:
+    return sorted(file for file in path.rglob("*") if file.is_file())
+
+
 def chunks(path: Path) -> list[Path]:
     """Files of numbers of all arrays."""
-    found = [file for file in path.rglob("*") if file.is_file() and file.name != "zarr.json"]
+    found = [file for file in files(path) if file.name != "zarr.json"]
     assert len({file.relative_to(path).parts[0] for file in found}) == ARRAYS
     return found
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(path)): file.read_bytes() for file in files(path)}
+
+
+def finished(book: DatasetWriter) -> dict[str, bytes]:
+    for block in book.missing():
+        book.write(block, part(whole(), book.span(block)))
+    return contents(book.finish())
 
 
 def edit(path: Path, array: str, **changes: object) -> None:
@@ -65,6 +91,45 @@ def test_a_flipped_bit_in_any_file_is_told(path: Path) -> None:
             read(path)
         file.write_bytes(sound)
     read(path)
+
+
+def test_a_half_written_one_that_is_damaged_is_begun_anew(path: Path) -> None:
+    """A flipped bit in what is written before the first block, or in the mark of that."""
+    good, rng, seen = contents(path), np.random.default_rng(6), 0
+    for file in [*good, "mark"]:
+        book = writer(path)
+        book.write(1, part(whole(), book.span(1)))
+        assert writer(path).missing() == [0, 2]
+        damaged = book._started if file == "mark" else book.partial / file
+        if not damaged.exists():
+            continue  # of a block that is not written yet
+        held = bytearray(damaged.read_bytes())
+        held[rng.integers(len(held))] ^= 1 << rng.integers(8)
+        damaged.write_bytes(held)
+        again = writer(path)
+        by_pose = file.split("/")[0] in POSE_ARRAYS and not file.endswith("zarr.json")
+        assert again.missing() == ([0, 2] if by_pose else [0, 1, 2])
+        found = finished(again)
+        assert by_pose or found == good
+        seen += 1
+    assert seen == 1 + 1 + ARRAYS + 9 + len(POSE_ARRAYS)
+
+
+def test_a_half_written_one_with_a_link_is_refused(path: Path, tmp_path: Path) -> None:
+    book = writer(path)
+    shutil.move(book.partial / "time", tmp_path / "elsewhere")
+    (book.partial / "time").symlink_to(tmp_path / "elsewhere")
+    with refuses() as caught:
+        writer(path)
+    says(caught.value.message, "time is a link to something outside")
+
+
+def test_a_folder_in_the_place_of_a_file_is_mended(path: Path) -> None:
+    good = contents(path)
+    (path / "time/c/0").unlink()
+    (path / "time/c/0").mkdir()
+    (path / "time/c/0/0").write_bytes(b"1")
+    assert finished(DatasetRepair(path, ATTRIBUTES, fixed(), POSES, BLOCK)) == good
 
 
 def test_ten_thousand_holes_take_no_time(path: Path) -> None:
