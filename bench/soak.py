@@ -13,6 +13,7 @@ process computed for as long, else others had the machine.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import gc
 import itertools
 import math
@@ -44,7 +45,7 @@ from prtnet.materials import PRESETS as MATERIALS
 from prtnet.model import VisibilityModel
 from prtnet.modelled_scene import ModelledScene
 from prtnet.presets import PRESETS as LIGHTS
-from runtime.memory import hand_back, resident_bytes
+from runtime.memory import hand_back, own_bytes, resident_bytes
 from runtime.onnx_model import OnnxModel
 from runtime.view import MODES
 from tests.models import random_model
@@ -174,10 +175,19 @@ def soaked(frames: int, loop: Loop) -> Soak:
 
 
 def resident() -> int:
-    """Bytes of this process in memory."""
-    found = resident_bytes()
+    """Bytes of this process in memory; files' pages count as many as there were at first."""
+    found = own_bytes()
     assert found is not None, "needs /proc"
-    return found
+    return found + pages_of_files()
+
+
+@functools.cache
+def pages_of_files() -> int:
+    """Bytes of these now. Later the system takes them back when it likes."""
+    found, own = resident_bytes(), own_bytes()
+    assert found is not None
+    assert own is not None
+    return found - own
 
 
 def characters(folder: Path) -> list[tuple[Path, Path]]:

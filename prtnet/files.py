@@ -18,11 +18,13 @@ __all__ = ["file_sha256", "finish", "read_bytes", "writing"]
 
 
 def read_bytes(path: str | Path, most: int) -> bytes | None:
-    """A file's bytes; None where there are more than ``most``, or it is a device without an end.
+    """A file's bytes; None where there are more than ``most``, or it is no file that has an end.
 
     Raises:
         OSError: it cannot be read.
     """
+    if Path(path).is_fifo():
+        return None  # to open one waits for who writes to it
     with open(path, "rb") as file:
         told = os.fstat(file.fileno())
         return None if told.st_size > most or stat.S_ISCHR(told.st_mode) else file.read()

@@ -341,8 +341,10 @@ class BaseViewer(ABC, Generic[S, V, D]):
         """Files fell on the window: lights, and what else can be shown."""
         self.message = ""
         found: dict[str, Path] = {}
-        for path in map(Path, paths):
-            kind = self.kinds.get(path.suffix.lower())
+        named = {path: self.kinds.get(path.suffix.lower()) for path in map(Path, paths)}
+        if set(named.values()) - {*CHANGED, None}:
+            self.opened()
+        for path, kind in named.items():
             if kind is None:
                 known = ", ".join(self.kinds)
                 self.complain(PrtnetError(path, f"is none of what can be shown here: {known}"))
@@ -351,7 +353,6 @@ class BaseViewer(ABC, Generic[S, V, D]):
             else:
                 found[kind] = path
         if found:
-            self.opened()
             self.take_files(found)
 
     def open(

@@ -10,7 +10,7 @@ from typing import Any
 
 import moderngl
 
-__all__ = ["gpu_bytes", "hand_back", "keep_little", "resident_bytes"]
+__all__ = ["gpu_bytes", "hand_back", "keep_little", "own_bytes", "resident_bytes"]
 
 DEPTH_BYTES = 4  # a sample; drivers round 24 bits up
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # of mallopt, in malloc.h
@@ -35,9 +35,20 @@ def bytes_of(thing: Any) -> int:
 
 def resident_bytes() -> int | None:
     """Memory that this process has in use; None where the system does not say (``/proc``)."""
+    return status_bytes("VmRSS")
+
+
+def own_bytes() -> int | None:
+    """Of that what is no file's, in memory or swapped out: files' pages the system takes back."""
+    parts = status_bytes("RssAnon"), status_bytes("RssShmem"), status_bytes("VmSwap")
+    return None if None in parts else sum(part or 0 for part in parts)
+
+
+def status_bytes(name: str) -> int | None:
+    """A line of what Linux says of this process."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-        line = next(line for line in lines if line.startswith("VmRSS:"))
+        line = next(line for line in lines if line.startswith(f"{name}:"))
     except (OSError, StopIteration):
         return None
     return 1024 * int(line.split()[1])

@@ -444,12 +444,14 @@ class Show(Sight[View]):
 
     def drawable(self, view: View) -> View:
         """The view, in the light that was drawn last until its own has been fitted."""
-        lit = self.studio.lit
-        wait = self.order not in lit
-        if self.studio.lobes(view.light, self.order, view.lobes, wait) is not None:
-            lit[self.order] = view.light, view.lobes
-        light, lobes = lit[self.order]
-        return replace(view, light=light, lobes=lobes)
+        studio, order = self.studio, self.order
+        last = studio.lit
+        known = last is not None and studio.fitted(last[0], order, last[1])
+        if studio.lobes(view.light, order, view.lobes, wait=not known) is not None:
+            studio.lit = view.light, view.lobes
+            return view
+        assert last is not None
+        return replace(view, light=last[0], lobes=last[1])
 
     def lit(self, view: View) -> Lobes:
         """The lobes of the light, turned."""

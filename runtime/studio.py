@@ -23,12 +23,12 @@ class Studio:
         environments: lights by name.
 
     Attributes:
-        lit: by order the light that was drawn last, and the number of its lobes.
+        lit: the light that was drawn last, and the number of its lobes.
     """
 
     def __init__(self, environments: Callable[[str], Environment]) -> None:
         self.environments = environments
-        self.lit: dict[int, tuple[str, int | None]] = {}
+        self.lit: tuple[str, int | None] | None = None
         self._fits: dict[tuple[str, int, int | None], Lobes] = {}  # a few KB each
         self._fitting: Background[Lobes] = Background()
         self._making: Background[ReflectionOperator] = Background()
@@ -67,6 +67,10 @@ class Studio:
             self._operators[order] = found
         return self._operators[order]
 
+    def fitted(self, name: str, order: int, count: int | None) -> bool:
+        """Whether the lobes of a light are there."""
+        return (name, order, count) in self._fits
+
     def lobes(self, name: str, order: int, count: int | None, wait: bool = False) -> Lobes | None:
         """The lobes of a light as it was given, fitted once; None until then.
 
@@ -84,3 +88,8 @@ class Studio:
             return found
 
         return self._fits[key] if key in self._fits else self._fitting.get(key, fit, wait)
+
+    def release(self) -> None:
+        """Wait for what is being made."""
+        for task in self.tasks.values():
+            task.release()

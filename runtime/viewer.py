@@ -62,6 +62,11 @@ class Viewer(BaseViewer[Show, View, Desk]):
         self.waiting_files: Mapping[str, Path] = {}
         super().__init__(window, show, view, desk)
 
+    def release(self) -> None:
+        """Give everything back but the window; what is being made is waited for."""
+        super().release()
+        self.show.studio.release()
+
     def made_panel(self) -> Panel:
         """Clips, look, light, material."""
         return Panel(self)

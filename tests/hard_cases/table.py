@@ -19,7 +19,7 @@ THEMES = {
     "All frequencies": ("all_frequency_light", "cpca", "all_frequency_pictures"),
     "Fits and models": ("training", "fits", "borders", "priors", "searches", "evaluations"),
     "Pictures and the viewer": ("pictures", "viewer"),
-    "Files, faults and repetition": ("readers", "fuzzing", "faults", "determinism"),
+    "Files, faults and repetition": ("readers", "datasets", "faults", "determinism"),
 }
 INTRODUCTION = """# Hard cases
 
