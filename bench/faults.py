@@ -4,16 +4,19 @@
 
 FAULTS of each kind, in every command (of pages a fifth): kill -9 at a random moment; kill -9 at a
 random one of its steps on the disk, in the middle of a write where the step is one; a write that
-finds no room; and, where tmpfs may be mounted, a disk that is too small by a random amount. In
-every second case an older output stands under the final name. A case has survived where nothing but
-a whole output (the older or the new one) ever stood under the final name, the same command then
-ended well, its bytes are those of an undisturbed run, and it left nothing else behind.
+finds no room; and, as root, a disk that is too small by a random amount. In every second case an
+older output stands under the final name. A fault counts where it struck, that is where the command
+did not end well; another is drawn where it did not, a few times. A case has survived where nothing
+but a whole output (the older or the new one) ever stood under the final name, and an older file at
+any time, the same command then ended well, its bytes are those of an undisturbed run, and it left
+nothing else behind.
 """
 
 from __future__ import annotations
 
 import errno
 import hashlib
+import itertools
 import multiprocessing
 import os
 import random
@@ -41,6 +44,8 @@ STEPS = ("open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "o
 NEEDS_ROOM = ("open", "os.mkdir")
 MAKES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 ROOM = 256 << 20  # bytes of a disk that is large enough
+PAGE_BYTES = 4096  # what a file takes of tmpfs, at least
+TRIES = 4  # of faults, until one strikes
 PRELOAD = ("tests.store", "upath", "prtnet.cli_bake", "prtnet.cli_bake_all_frequency",
            "training.all_frequency", "training.train", "prtnet.lobe_fit", "data_gen.generate",
            "data_gen.bake", "prtnet.report", "training.sweep", "training.export",
@@ -99,6 +104,9 @@ JOBS = (
 )  # fmt: skip
 
 
+KINDS = ("kill -9 at a moment", "kill -9 at a step", "disk full", "small disk")
+
+
 @dataclass(frozen=True)
 class Fault:
     """What goes wrong.
@@ -107,7 +115,7 @@ class Fault:
         seconds: kill after so many.
         step: at which step on the disk, from 1; 0 for none.
         full: that step finds no room; otherwise it is the last thing that happens.
-        room: bytes that the disk has in all.
+        room: bytes that the disk has left.
     """
 
     seconds: float | None = None
@@ -117,9 +125,10 @@ class Fault:
 
     @property
     def kind(self) -> str:
-        if self.room is not None or self.full:
-            return "disk full" if self.full else "small disk"
-        return "kill -9 at a step" if self.step else "kill -9 at a moment"
+        """One of ``KINDS``."""
+        if self.full:
+            return KINDS[2]
+        return KINDS[3 if self.room is not None else 1 if self.step else 0]
 
 
 @dataclass
@@ -193,6 +202,7 @@ class Bench:
         self.context.set_forkserver_preload(["bench.faults", *preload])
         self.whole: dict[str, dict[str, str]] = {}
         self.sound: dict[str, Outcome] = {}
+        self.steps: dict[str, int] = {}  # of those that need room
         write_glb(arm(segments=6), self.inputs / "arm.glb")
         for job in JOBS[:2]:  # the others' inputs
             if any(job.out in other.words for other in jobs):
@@ -205,6 +215,9 @@ class Bench:
                 if old:
                     (self.work / job.out).rename(self.older(job) / job.out)
             self.whole[job.name] = contents(self.work / job.out)
+            clear(self.work)
+            counted = self.run(job.argv(self.inputs, self.work / job.out), Fault(full=True))
+            self.steps[job.name] = counted.steps
             clear(self.work)
 
     def older(self, job: Job) -> Path:
@@ -226,49 +239,59 @@ class Bench:
         assert child.exitcode is not None
         return Outcome(child.exitcode, seconds, count, self.told.read_text())
 
-    def faults(self, job: Job, number: int, rng: random.Random) -> Iterator[Fault]:
-        """So many of each kind."""
-        sound = self.sound[job.name]
-        size = sum(f.stat().st_size for f in self.older(job).rglob("*") if f.is_file())
-        for _ in range(number):
-            yield Fault(seconds=rng.uniform(0.1, 1.1) * sound.seconds)
-        for _ in range(number):
-            yield Fault(step=rng.randint(1, sound.steps))
-        for _ in range(number):
-            yield Fault(step=rng.randint(1, sound.steps), full=True)
-        for _ in range(number if os.geteuid() == 0 else 0):
-            yield Fault(room=4096 * rng.randint(1, max(2, size // 4096)))
+    def fault(self, job: Job, kind: str, old: bool, rng: random.Random) -> Fault:
+        """A random one of a kind."""
+        sound, (moment, step, full, small) = self.sound[job.name], KINDS
+        if kind == moment:
+            return Fault(seconds=rng.uniform(0.1, 1.0) * sound.seconds)
+        if kind in (step, full):
+            steps = self.steps[job.name] if kind == full else sound.steps
+            return Fault(step=rng.randint(1, steps), full=kind == full)
+        assert kind == small
+        pages = taken(self.older(job)) // PAGE_BYTES
+        return Fault(room=PAGE_BYTES * rng.randint(0 if old else 1, max(1, pages - 1)))
 
-    def survives(self, job: Job, fault: Fault, old: bool) -> str:
-        """What was lost; an empty text where nothing was."""
-        out = self.work / job.out
-        argv = job.argv(self.inputs, out)
-        with disk(self.work, fault.room) as resize, cleared(self.work):
-            if old and fault.room is None:
-                copy(self.older(job) / job.out, out)
-            before = contents(out)
+    def survives(self, job: Job, fault: Fault, old: bool) -> tuple[str, bool]:
+        """What was lost, an empty text where nothing was; and whether the fault has struck."""
+        argv = job.argv(self.inputs, self.work / job.out)
+        with disk(self.work, fault.room is not None) as resize, cleared(self.work):
+            if old:
+                copy(self.older(job) / job.out, self.work / job.out)
+            before = contents(self.work / job.out)
+            if fault.room is not None:
+                resize(taken(self.work) + fault.room)
             hurt = self.run(argv, fault)
-            complaint = hurt.told.strip()
-            if hurt.status == 2 and not (
-                complaint.startswith("prtnet: error: ") and "\n" not in complaint
-            ):
-                return f"complaint of another kind: {complaint[-300:]}"
-            if hurt.status not in (-9, 0, 2):
-                return f"ended with status {hurt.status}: {complaint[-300:]}"
-            found = contents(out)
-            if job.header not in {*found, ""}:
-                found = {}
-            if found and found != before and not self.is_whole(job, out, marked=True):
-                return f"not whole under its final name after {hurt}"
+            lost = self.lost_of(job, hurt, before)
             resize(ROOM)
-            again = self.run(argv)
-            if again.status != 0:
-                return f"the same command again failed: {again.told.strip()[-300:]}"
-            if not self.is_whole(job, out):
-                return "the same command again wrote something else"
-            if (left := [path.name for path in self.work.iterdir() if path != out]) != []:
-                return f"left {left}"
+            return lost or self.lost_after(job, argv), hurt.status != 0
+
+    def lost_of(self, job: Job, hurt: Outcome, before: dict[str, str]) -> str:
+        """What a disturbed run lost of what stood there before."""
+        out, complaint = self.work / job.out, hurt.told.strip()
+        line = complaint.startswith("prtnet: error: ") and "\n" not in complaint
+        if hurt.status == 2 and not line:
+            return f"complaint of another kind: {complaint[-300:]}"
+        if hurt.status not in (-9, 0, 2):
+            return f"ended with status {hurt.status}: {complaint[-300:]}"
+        found = contents(out)
+        if job.header not in {*found, ""}:
+            found = {}
+        if not found and before.keys() == {"."}:
+            return f"an older file is gone after {hurt}"
+        if found and found != before and not self.is_whole(job, out, marked=True):
+            return f"not whole under its final name after {hurt}"
         return ""
+
+    def lost_after(self, job: Job, argv: list[str]) -> str:
+        """What the same command does not mend."""
+        out = self.work / job.out
+        again = self.run(argv)
+        if again.status != 0:
+            return f"the same command again failed: {again.told.strip()[-300:]}"
+        if not self.is_whole(job, out):
+            return "the same command again wrote something else"
+        left = [path.name for path in self.work.iterdir() if path != out]
+        return f"left {left}" if left else ""
 
     def is_whole(self, job: Job, out: Path, marked: bool = False) -> bool:
         """Whether an output is what an undisturbed run writes; marks of blocks may lie in it."""
@@ -307,46 +330,75 @@ def clear(folder: Path) -> None:
         shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
+def taken(folder: Path) -> int:
+    """Bytes of a disk that the files in a folder take."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return sum(-(-path.stat().st_size // PAGE_BYTES) * PAGE_BYTES for path in files)
+
+
 @contextmanager
-def disk(folder: Path, room: int | None) -> Iterator[Any]:
-    """The folder as a disk of its own with so much room, and a function that changes that."""
+def disk(folder: Path, own: bool) -> Iterator[Any]:
+    """The folder as a disk of its own if asked for, and a function that changes its size."""
 
     def mount(size: int, how: str = "") -> None:
         command = ["mount", "-t", "tmpfs", "-o", f"{how}size={size}", "tmpfs", str(folder)]
         subprocess.run(command, check=True)
 
-    if room is None:
+    if not own:
         yield lambda _: None
         return
-    mount(room)
+    mount(ROOM)
     try:
         yield lambda size: mount(size, "remount,")
     finally:
         subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
+@dataclass
+class Tally:
+    """Of a command."""
+
+    struck: dict[str, int]
+    idle: int = 0  # faults that struck nothing
+    lost: list[str] = field(default_factory=list)
+
+
+def tried(bench: Bench, job: Job, number: int, rng: random.Random) -> Tally:
+    """So many faults of each kind."""
+    kinds = KINDS if os.geteuid() == 0 else KINDS[:-1]
+    found = Tally(dict.fromkeys(kinds, 0))
+    for kind, index in itertools.product(kinds, range(number)):
+        old = index % 2 == 1
+        for _ in range(TRIES):
+            fault = bench.fault(job, kind, old, rng)
+            problem, struck = bench.survives(job, fault, old)
+            found.struck[kind] += struck
+            found.idle += not struck
+            if problem:
+                found.lost.append(f"{job.name}: {fault}: {problem}")
+                print(found.lost[-1])
+                clear(bench.work)
+            if struck or problem:
+                break
+    return found
+
+
 def main() -> None:
     given = [int(word) for word in sys.argv[1:] if word.isdigit()]
     number, seed = [*given, *DEFAULTS[len(given) :]][:2]
     rng = random.Random(seed)
-    kinds: dict[str, int] = {}
-    rows, lost = [], []
+    rows, lost = [], 0
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder))
         for job in JOBS:
-            kinds, failures = {}, 0
             own = number if job.exact else -(-number // 5)  # a page takes long
-            for index, fault in enumerate(bench.faults(job, own, rng)):
-                kinds[fault.kind] = kinds.get(fault.kind, 0) + 1
-                if problem := bench.survives(job, fault, old=index % 2 == 1):
-                    failures += 1
-                    lost.append(f"{job.name}: {fault}: {problem}")
-                    print(lost[-1])
-                    clear(bench.work)
-            injected = sum(kinds.values())
-            rows.append([f"`prtnet {job.name}`", *kinds.values(), injected - failures, failures])
-            print(*rows[-1])
-    columns = ["command", *kinds, "survived", "lost"]
+            found = tried(bench, job, own, rng)
+            lost += len(found.lost)
+            struck = found.struck.values()
+            survived = sum(struck) - len(found.lost)
+            rows.append([f"`prtnet {job.name}`", *struck, survived, len(found.lost), found.idle])
+            print(*rows[-1], flush=True)
+    columns = ["command", *found.struck, "survived", "lost", "faults that struck nothing"]
     publish("faults", columns, rows, f"Seed {seed}.", PAGE)
     sys.exit(1 if lost else 0)
 

@@ -6,11 +6,12 @@ import random
 
 import pytest
 
-from bench.faults import JOBS, Bench, Fault, Job, clear
+from bench.faults import JOBS, Bench, Fault, Job, Outcome, clear
+from bench.faults import KINDS as FAULTS
 
 QUICK = tuple(job for job in JOBS if job.name in ("generate", "bake"))
 PRELOAD = ("prtnet.cli_bake", "prtnet.lobe_fit", "data_gen.generate", "data_gen.bake")
-KINDS = ("kill -9 at a moment", "kill -9 at a step", "disk full")
+KINDS = FAULTS[:3]
 
 
 @pytest.fixture(scope="module")
@@ -22,9 +23,12 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_same_command_again_mends_it(bench: Bench, job: Job, kind: str) -> None:
     rng = random.Random(KINDS.index(kind))
-    faults = [fault for fault in bench.faults(job, 2, rng) if fault.kind == kind]
-    for fault, old in zip(faults, (False, True), strict=True):
-        assert bench.survives(job, fault, old) == ""
+    for old in (False, True):
+        outcomes = [bench.survives(job, bench.fault(job, kind, old, rng), old)]
+        while not outcomes[-1][1] and len(outcomes) < 4:  # it came too late
+            outcomes.append(bench.survives(job, bench.fault(job, kind, old, rng), old))
+        assert {lost for lost, _ in outcomes} == {""}
+        assert outcomes[-1][1]
 
 
 def test_a_fault_strikes(bench: Bench) -> None:
@@ -41,3 +45,13 @@ def test_a_fault_strikes(bench: Bench) -> None:
     assert not bench.is_whole(job, bench.older(job) / job.out)
     assert bench.run(argv).status == 0
     assert bench.is_whole(job, bench.work / job.out)
+
+
+def test_an_older_file_that_is_gone_is_seen(bench: Bench) -> None:
+    job, killed = QUICK[1], Outcome(-9, 1.0, 0, "")
+    before = {".": "the hash of a file"}
+    assert "an older file is gone" in bench.lost_of(job, killed, before)
+    assert bench.lost_of(job, killed, {}) == ""
+    (bench.work / job.out).write_bytes(b"half")
+    assert "not whole" in bench.lost_of(job, killed, before)
+    clear(bench.work)
