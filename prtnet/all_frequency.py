@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.transfer import Surface, check_field
+from prtnet.limits import LARGEST
+from prtnet.transfer import Surface, check_field, check_numbers
 
 __all__ = ["SEGMENTS", "AllFrequencyField", "Segment", "SparseColumns"]
 
@@ -140,9 +141,10 @@ def check_segment(one: Segment, points: int, columns: int) -> None:
         raise ValueError("vertices come twice, or are not there")
     if one.weights.shape != (len(one.vertices), one.scale.shape[-1]):
         raise ValueError("weights do not fit the vertices")
-    if one.scale.shape[:-1] != (one.clusters,) or not np.isfinite(one.scale).all():
-        raise ValueError("scale does not fit the clusters, or is not finite")
-    if not (np.isfinite(one.step) and one.step > 0.0):
+    if one.scale.shape[:-1] != (one.clusters,):
+        raise ValueError("scale does not fit the clusters")
+    check_numbers("scale", one.scale)
+    if not 0.0 < one.step <= LARGEST:
         raise ValueError(f"step is {one.step}")
     if one.representatives.shape != (one.scale.size, columns):
         raise ValueError("representatives do not fit the clusters")

@@ -10,6 +10,7 @@ import math
 from prtnet.errors import PrtnetError
 
 __all__ = [
+    "LARGEST",
     "MOST_BOUNCES",
     "MOST_COPIES",
     "MOST_FACTORS",
@@ -42,6 +43,7 @@ MOST_PIXELS = 8192  # a side of a picture
 MOST_THREADS = 1024
 MOST_SPIN = 999  # pictures all around
 MOST_FPS = 240  # pictures a second of a movie
+LARGEST = 1e12  # number of a field: pictures of larger ones overflow, and no simulation gives them
 
 
 def check_within(subject: str, value: float | None, least: float, most: float) -> None:

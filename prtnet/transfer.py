@@ -19,7 +19,7 @@ import numpy as np
 from prtnet.array_file import TRANSFER, read_arrays, write_arrays
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import MISFITS, PrtnetError
-from prtnet.limits import check_field_limits
+from prtnet.limits import LARGEST, check_field_limits
 from prtnet.sh import order_of
 
 __all__ = [
@@ -276,15 +276,20 @@ def check_arrays(
     for name, array in arrays.items():
         if array.dtype != (np.int32 if name == "faces" else np.float32):
             raise ValueError(f"{name} has type {array.dtype}")
-        if not np.isfinite(array).all():
-            raise ValueError(f"{name} holds values that are not finite")
+        check_numbers(name, array)
+
+
+def check_numbers(name: str, numbers: FloatArray | IntArray) -> None:
+    """Raise ValueError for numbers that are not finite, or larger than any simulation gives."""
+    if not (np.abs(numbers) <= LARGEST).all():
+        raise ValueError(f"{name} holds values that are not finite, or above {LARGEST:g}")
 
 
 def check_layout(layout: Patch | Surface) -> None:
     """Raise ValueError where a layout's arrays do not fit each other."""
     if isinstance(layout, Patch):
         fits = layout.heights.ndim == 2 and layout.normals.shape == (*layout.heights.shape, 3)
-        if not all(0 < one < np.inf for one in layout.size):
+        if not all(1.0 / LARGEST <= one <= LARGEST for one in layout.size):
             raise ValueError("size is no length")
     else:
         shape = (len(layout.positions), 3)

@@ -119,3 +119,18 @@ def test_spoiled_files_are_refused(tmp_path: Path) -> None:
         assert "not a whole prtnet transfer field" in spoiled(path, header), header
     for name in ("transfer", "heights", "normals"):
         assert name in spoiled(path, {}, name)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1e13, 3e38])
+def test_numbers_that_pictures_cannot_hold(bad: float) -> None:
+    for name, good in (("transfer", patch()), ("transfer", mesh()), ("view", patch(3, True))):
+        array = getattr(good, name).copy()
+        array.flat[-1] = bad
+        with pytest.raises(ValueError, match=f"{name} holds values that are not finite, or above"):
+            dataclasses.replace(good, **{name: array})
+    layout = dataclasses.replace(patch().layout, heights=np.full((2, 3), bad, dtype=np.float32))
+    with pytest.raises(ValueError, match="heights holds"):
+        dataclasses.replace(patch(), layout=layout)
+    for size in ((0.3, bad), (1e-300, 0.2)):
+        with pytest.raises(ValueError, match="size is no length"):
+            dataclasses.replace(patch(), layout=dataclasses.replace(patch().layout, size=size))
