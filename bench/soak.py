@@ -391,6 +391,8 @@ def main() -> None:
                 soaks["viewer"] = soaked(frames, ViewerLoop(viewer, files))
         finally:
             server.terminate()
+    for name, found in soaks.items():
+        print(f"{name}, MB at rest:", *(round(count / 1e6) for count in found.memory))
     rows = [found.row(name) for name, found in soaks.items()]
     publish("soak", COLUMNS, rows, page=PAGE)
     wrong = any(s.bad or s.spread() > 0.02 or s.late()[0][""] for s in soaks.values())
