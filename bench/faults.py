@@ -123,13 +123,6 @@ class Fault:
     full: bool = False
     room: int | None = None
 
-    @property
-    def kind(self) -> str:
-        """One of ``KINDS``."""
-        if self.full:
-            return KINDS[2]
-        return KINDS[3 if self.room is not None else 1 if self.step else 0]
-
 
 @dataclass
 class Steps:

@@ -11,19 +11,20 @@ import pytest
 
 from prtnet.dataset import HEADERS, POSE_ARRAYS, Dataset
 from prtnet.dataset_repair import DatasetRepair
-from prtnet.dataset_writer import DatasetWriter
 from prtnet.errors import PrtnetError
 from tests.hard_cases.measured import refuses, says
 from tests.prtnet.test_dataset import (
     ATTRIBUTES,
     BLOCK,
     POSES,
+    filled,
     fixed,
     part,
     whole,
     write,
     writer,
 )
+from tests.prtnet.test_dataset_repair import contents
 
 ARRAYS = 17
 
@@ -33,25 +34,11 @@ def path(tmp_path: Path) -> Path:
     return write(tmp_path / "set.zarr").path
 
 
-def files(path: Path) -> list[Path]:
-    return sorted(file for file in path.rglob("*") if file.is_file())
-
-
 def chunks(path: Path) -> list[Path]:
     """Files of numbers of all arrays."""
-    found = [file for file in files(path) if file.name != "zarr.json"]
+    found = [path / name for name in sorted(contents(path)) if not name.endswith("zarr.json")]
     assert len({file.relative_to(path).parts[0] for file in found}) == ARRAYS
     return found
-
-
-def contents(path: Path) -> dict[str, bytes]:
-    return {str(file.relative_to(path)): file.read_bytes() for file in files(path)}
-
-
-def finished(book: DatasetWriter) -> dict[str, bytes]:
-    for block in book.missing():
-        book.write(block, part(whole(), book.span(block)))
-    return contents(book.finish())
 
 
 def edit(path: Path, array: str, **changes: object) -> None:
@@ -109,7 +96,7 @@ def test_a_half_written_one_that_is_damaged_is_begun_anew(path: Path) -> None:
         again = writer(path)
         by_pose = file.split("/")[0] in POSE_ARRAYS and not file.endswith("zarr.json")
         assert again.missing() == ([0, 2] if by_pose else [0, 1, 2])
-        found = finished(again)
+        found = contents(filled(again).finish())
         assert by_pose or found == good
         seen += 1
     assert seen == 1 + 1 + ARRAYS + 9 + len(POSE_ARRAYS)
@@ -129,7 +116,8 @@ def test_a_folder_in_the_place_of_a_file_is_mended(path: Path) -> None:
     (path / "time/c/0").unlink()
     (path / "time/c/0").mkdir()
     (path / "time/c/0/0").write_bytes(b"1")
-    assert finished(DatasetRepair(path, ATTRIBUTES, fixed(), POSES, BLOCK)) == good
+    book = DatasetRepair(path, ATTRIBUTES, fixed(), POSES, BLOCK)
+    assert contents(filled(book).finish()) == good
 
 
 def test_ten_thousand_holes_are_not_looked_for(path: Path) -> None:

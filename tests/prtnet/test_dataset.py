@@ -85,11 +85,14 @@ def writer(path: Path, **attributes: object) -> DatasetWriter:
 
 
 def write(path: Path, **attributes: object) -> Dataset:
-    book = writer(path, **attributes)
+    return Dataset.open(filled(writer(path, **attributes)).finish())
+
+
+def filled(book: DatasetWriter) -> DatasetWriter:
+    """With all blocks that were missing."""
     for block in book.missing():
         book.write(block, part(whole(), book.span(block)))
-    book.finish()
-    return Dataset.open(path)
+    return book
 
 
 @pytest.fixture

@@ -9,17 +9,14 @@ import pytest
 from prtnet.dataset import MADE_WITH, POSE_ARRAYS, Dataset
 from prtnet.dataset_repair import DatasetRepair
 from prtnet.errors import PrtnetError
-from tests.prtnet.test_dataset import ATTRIBUTES, BLOCK, POSES, fixed, part, whole, writer
+from tests.prtnet.test_dataset import ATTRIBUTES, BLOCK, POSES, filled, fixed, writer
 
 MADE = {MADE_WITH: {"prtnet": "0"}}
 
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    book = writer(tmp_path_factory.mktemp("original") / "set.zarr", **MADE)
-    for block in book.missing():
-        book.write(block, part(whole(), book.span(block)))
-    return book.finish()
+    return filled(writer(tmp_path_factory.mktemp("original") / "set.zarr", **MADE)).finish()
 
 
 @pytest.fixture
@@ -39,9 +36,7 @@ def flip(file: Path, byte: int, bit: int = 0) -> None:
 
 def repair(path: Path, **attributes: object) -> list[str]:
     book = DatasetRepair(path, {**ATTRIBUTES, **MADE, **attributes}, fixed(), POSES, BLOCK)
-    for block in book.missing():
-        book.write(block, part(whole(), book.span(block)))
-    book.finish()
+    filled(book).finish()
     return book.mended
 
 

@@ -9,15 +9,14 @@ import sys
 import pytest
 
 FREED_BY_THREADS = """
-import ctypes, sys, threading
+import ctypes, threading
 from runtime.memory import hand_back, keep_little, resident_bytes
 
 c = ctypes.CDLL(None)
 c.malloc.argtypes, c.malloc.restype = [ctypes.c_size_t], ctypes.c_void_p
 c.free.argtypes = [ctypes.c_void_p]
 c.memset.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t]
-if sys.argv[1] == "little":
-    keep_little()
+keep_little()
 
 def make(pinned):
     c.free(c.malloc(30 << 20))  # from now on glibc counts on as much
@@ -42,10 +41,9 @@ for pinned in (False, True):
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="is of glibc")
 def test_what_threads_free_is_handed_back():
-    def kept(how: str) -> list[list[int]]:
-        command = [sys.executable, "-c", FREED_BY_THREADS, how]
-        told = subprocess.run(command, capture_output=True, check=True, text=True).stdout
-        return [[round(int(word) / 1e6) for word in line.split()] for line in told.splitlines()]
-
-    (free, handed), (_, handed_between) = kept("little")
+    command = [sys.executable, "-c", FREED_BY_THREADS]
+    told = subprocess.run(command, capture_output=True, check=True, text=True).stdout
+    (free, handed), (_, handed_between) = (
+        [round(int(word) / 1e6) for word in line.split()] for line in told.splitlines()
+    )
     assert max(free, handed, handed_between) < 5
