@@ -222,9 +222,7 @@ def test_a_run_killed_while_it_finishes_loses_nothing(
     path = tmp_path / "set.zarr"
     if old:
         write(path, rays=1)
-    book = writer(path)
-    for block in book.missing():
-        book.write(block, part(whole(), book.span(block)))
+    book = filled(writer(path))
     left = iter(range(survived))
 
     def mortal(step: Callable[..., None]) -> Callable[..., None]:

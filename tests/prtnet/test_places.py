@@ -21,7 +21,7 @@ from prtnet.errors import PrtnetError
 from prtnet.places import children, is_remote, place, there
 from tests import store as _store  # noqa: F401 - registers farm://
 from tests.prtnet import test_dataset
-from tests.prtnet.test_dataset import ATTRIBUTES, BLOCK, POSES, fixed, part, whole, writer
+from tests.prtnet.test_dataset import ATTRIBUTES, BLOCK, POSES, filled, fixed, part, whole, writer
 
 pytestmark = pytest.mark.filterwarnings("ignore:UPath 'farm' filesystem")
 memory = pytest.importorskip("fsspec.implementations.memory")
@@ -63,9 +63,7 @@ def names(folder: Path) -> list[str]:
 
 def repair(path: Path, **attributes: object) -> list[str]:
     book = DatasetRepair(path, {**ATTRIBUTES, **attributes}, fixed(), POSES, BLOCK)
-    for block in book.missing():
-        book.write(block, part(whole(), book.span(block)))
-    book.finish()
+    filled(book).finish()
     return book.mended
 
 
@@ -127,9 +125,7 @@ def test_a_restart_with_other_options_that_is_killed_while_it_begins(
 ) -> None:
     """After a run that was killed while it copied."""
     path = farm / "set.zarr"
-    book = writer(path)
-    for block in book.missing():
-        book.write(block, part(whole(), book.span(block)))
+    book = filled(writer(path))
     with monkeypatch.context() as patch:
         patch.setattr(memory.MemoryFileSystem, "_rm", gone)
         patch.setattr(memory.MemoryFileSystem, "cp_file", gone)
@@ -158,9 +154,7 @@ def test_a_run_killed_while_it_finishes_loses_nothing(
     path = farm / "set.zarr"
     if old:
         test_dataset.write(path, rays=1)
-    book = writer(path)
-    for block in book.missing():
-        book.write(block, part(whole(), book.span(block)))
+    book = filled(writer(path))
     left = iter(range(survived))
     system = memory.MemoryFileSystem
 
