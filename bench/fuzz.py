@@ -77,7 +77,7 @@ class Stage:
         """After sound files have been read: what that imports and takes is not the cases'."""
         for files in reader.sound:
             with contextlib.suppress(BreachError):  # modules are imported
-                outcome(reader.use, self.place.hold(files))
+                outcome(reader.use, self.place.hold(files), reader.writes)
         return self
 
 
@@ -100,7 +100,7 @@ def worked(name: str, seed: int, first: int, end: int, folder: Path) -> None:
             signal.setitimer(signal.ITIMER_PROF, SECONDS)  # its signal ends the process
             start = time.process_time()
             try:
-                tally.counts[outcome(reader.use, path)] += 1
+                tally.counts[outcome(reader.use, path, reader.writes)] += 1
                 sys.stdout.flush()
                 if os.fstat(said).st_size:
                     raise BreachError(f"printed {os.pread(said, 200, 0)!r}")
@@ -193,10 +193,11 @@ def main() -> None:
         return
     with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as made:
         if words.case is not None:
-            stage = Stage(Path(made)).warmed(READERS[names[0]])
-            path = stage.place.hold(READERS[names[0]].case((words.seed, names[0], words.case)))
+            reader = READERS[names[0]]
+            stage = Stage(Path(made)).warmed(reader)
+            path = stage.place.hold(reader.case((words.seed, names[0], words.case)))
             with bounded(ROOM):
-                print(outcome(READERS[names[0]].use, path))
+                print(outcome(reader.use, path, reader.writes))
             return
         start, rows, failed = time.perf_counter(), [], 0
         with ThreadPoolExecutor(words.jobs) as pool:

@@ -168,7 +168,8 @@ def soaked(frames: int, loop: Loop) -> Soak:
             gc.collect()
             hand_back()
             found.memory += [resident()] * bool(run or number >= WARM_UP * frames)
-            print(f"\r{run * frames + number} of {2 * frames}", end="", flush=True)
+            told = f"{run * frames + number} of {2 * frames} frames, {resident() / 1e6:.0f} MB"
+            print(f"\r{told}", end="", flush=True)
     print("\r", end="")
     found.seconds = time.perf_counter() - began
     return found
@@ -293,15 +294,18 @@ class ViewerLoop:
     def rest(self) -> None:
         """The first character as it was first shown, in a window of the first size."""
         viewer = self.viewer
+        vars(viewer.view).update(vars(self.first))  # of the other ones nothing is begun any more
         if self.due > 0:
             self.show_opened()
         self.drop(self.files[0])
         self.show_opened()
-        vars(viewer.view).update(vars(self.first))
+        viewer.view.order = self.first.order
         viewer.helping = False
         self.resize(SIZE)
         viewer.step(0.0)
         viewer.show.settle(viewer.view)
+        while viewer.show.waiting:  # also for what is not shown any more
+            time.sleep(1e-3)
 
     def again(self) -> None:
         self.rng = random.Random(0)

@@ -18,6 +18,8 @@ __all__ = ["PICTURES", "read_grey"]
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".tga", ".pgm", ".exr")
 LARGEST = 1 << 26  # pixels
+MOST_BYTES = 16 * LARGEST  # of a file
+STRIP = 1 << 20  # pixels at a time
 # Of all that Pillow knows: for some others it runs programs (Ghostscript for EPS).
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "TGA", "PPM")
 
@@ -37,7 +39,10 @@ def read_grey(path: str | Path, texels: tuple[int, int] | None = None) -> FloatA
     """
     path = Path(path)
     with np.errstate(invalid="ignore"):  # what is no number is told below
-        grey = read_exr(path) @ REC709 if path.suffix.lower() == ".exr" else decoded(path)
+        if path.suffix.lower() == ".exr":
+            grey = np.ascontiguousarray((read_exr(path) @ REC709)[::-1])
+        else:
+            grey = decoded(path)
     if np.isnan(grey).any():
         count = int(np.isnan(grey).sum())
         raise PrtnetError(path, f"holds {count} values that are not numbers (NaN); repair it")
@@ -48,13 +53,15 @@ def read_grey(path: str | Path, texels: tuple[int, int] | None = None) -> FloatA
     if texels is not None and texels != grey.shape[::-1]:
         if not np.isfinite(grey).all():
             raise PrtnetError(path, "has pits without floor and cannot be resampled; leave --size")
-        grey = resampled(grey, texels)
-    return np.ascontiguousarray(grey[::-1])
+        grey = np.ascontiguousarray(resampled(grey[::-1], texels)[::-1])
+    return grey
 
 
 def decoded(path: Path) -> FloatArray:
-    """Grey values (H, W) of a picture that Pillow reads, top row first."""
+    """Grey values (H, W) of a picture that Pillow reads, bottom row first."""
     try:
+        if path.stat().st_size > MOST_BYTES:
+            raise PrtnetError(path, "is larger than any picture here; resample it first")
         with warnings.catch_warnings(), hushed():  # libtiff prints lines of its own
             warnings.simplefilter("error")
             with Image.open(path, formats=FORMATS) as picture:
@@ -72,7 +79,18 @@ def decoded(path: Path) -> FloatArray:
 
 
 def grey_of(picture: Image.Image) -> FloatArray:
-    """Grey values (H, W) of one picture: 8 and 16 bits over their most, floats as they are."""
+    """Grey values (H, W) of one picture, bottom row first; by strips, for memory's sake."""
+    width, height = picture.size
+    grey, rows = np.empty((height, width)), max(1, STRIP // width)
+    for top in range(0, height, rows):
+        end = min(top + rows, height)
+        strip = grey_strip(picture.crop((0, top, width, end)))
+        grey[height - end : height - top] = strip[::-1]
+    return grey
+
+
+def grey_strip(picture: Image.Image) -> FloatArray:
+    """The same of a few rows, top first: 8 and 16 bits over their most, floats as they are."""
     if picture.mode == "F":
         return np.asarray(picture, dtype=np.float64)
     if picture.mode.startswith("I"):

@@ -114,12 +114,12 @@ def sealed(path: Path) -> bytes:
     return header.read_bytes() if there(header) else b""
 
 
+MEND = "repeat the prtnet generate that made it with --repair"
+
+
 def out_of_reach(path: Path, error: Exception) -> PrtnetError:
     """What to say where a store's client fails in a way of its own."""
     return PrtnetError(path, f"cannot be read ({error}); check the store")
-
-
-MEND = "repeat the prtnet generate that made it with --repair"
 
 
 def readable(array: zarr.Array[Any], block: int, lost: tuple[type[Exception], ...]) -> bool:

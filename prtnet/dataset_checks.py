@@ -18,16 +18,24 @@ from prtnet.errors import PrtnetError
 from prtnet.limits import check_order
 from prtnet.places import is_remote, sizes
 
-__all__ = ["check_attributes", "check_fit", "check_folder", "check_stored"]
+__all__ = [
+    "check_attributes",
+    "check_fit",
+    "check_folder",
+    "check_stored",
+    "chunk_bytes",
+    "packed_most",
+]
 
 CODECS = {"BytesCodec", "BloscCodec", "Crc32cCodec"}
 # LZ4 makes a run of 255 bytes at most out of each byte: no chunk that we write unpacks to more.
 LARGEST_RATIO, SMALL = 256, 1 << 16
+HEADER, MOST_HEADER = "zarr.json", 1 << 24  # bytes
 TEXTS = ("clip_names", "held_out", "joint_names")
 
 
 def check_folder(path: Path) -> None:
-    """Refuse a dataset with symbolic links to what lies outside it.
+    """Refuse a dataset with symbolic links to what lies outside it, or headers that are none.
 
     Raises:
         PrtnetError: it has one.
@@ -36,9 +44,12 @@ def check_folder(path: Path) -> None:
         return  # links are the store's affair
     root = path.resolve()
     for entry in entries(path):
+        name = os.path.relpath(entry.path, path)
         if entry.is_symlink() and not inside(Path(entry.path), root):
-            name = os.path.relpath(entry.path, path)
             raise PrtnetError(path, f"{name} is a link to something outside; copy the file there")
+        if entry.name == HEADER and entry.is_file() and entry.stat().st_size > MOST_HEADER:
+            told = f"{name} is no header: it has {entry.stat().st_size} bytes; delete that file"
+            raise PrtnetError(path, told)
 
 
 def inside(link: Path, root: Path) -> bool:
@@ -58,8 +69,18 @@ def entries(path: str | Path) -> Iterator[os.DirEntry[str]]:
                 yield from entries(entry.path)
 
 
+def chunk_bytes(array: zarr.Array[Any]) -> int:
+    """Of a chunk, unpacked."""
+    return math.prod(array.chunks) * array.dtype.itemsize
+
+
+def packed_most(size: int) -> int:
+    """Bytes of the file of a chunk of a size, at most: Blosc adds little to what is random."""
+    return size + SMALL
+
+
 def check_stored(path: Path, array: zarr.Array[Any]) -> None:
-    """Raise ValueError where an array claims to unpack to more than its files can hold.
+    """Raise ValueError where an array claims to unpack to more than its files can hold, or less.
 
     Args:
         path: of the dataset.
@@ -70,10 +91,13 @@ def check_stored(path: Path, array: zarr.Array[Any]) -> None:
     if not codecs <= CODECS:
         raise ValueError(f"{name} is packed by {', '.join(sorted(codecs - CODECS))}")
     if is_remote(path):
-        stored = sum(sizes(path / name).values())
+        files = sizes(path / name)
     else:
-        stored = sum(e.stat().st_size for e in entries(path / name) if e.is_file())
-    claimed = math.prod(array.chunks) * array.nchunks * array.dtype.itemsize
+        files = {e.path: e.stat().st_size for e in entries(path / name) if e.is_file()}
+    stored, most = sum(files.values()), max(packed_most(chunk_bytes(array)), MOST_HEADER)
+    if max(files.values(), default=0) > most:
+        raise ValueError(f"a file of {name} has over {most} bytes")
+    claimed = chunk_bytes(array) * array.nchunks
     if claimed > LARGEST_RATIO * stored + SMALL:
         raise ValueError(f"{name} claims {claimed} bytes, in files of {stored}")
 

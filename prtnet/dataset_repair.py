@@ -19,15 +19,13 @@ from prtnet.dataset import (
     POSE_ARRAYS,
     SELF,
     Block,
-    array_of,
     header_of,
     header_sums,
-    readable,
 )
 from prtnet.dataset_checks import check_folder
 from prtnet.dataset_writer import DatasetWriter, create, writable
 from prtnet.errors import PrtnetError
-from prtnet.places import damage, is_remote, place, put, remove_place, sizes, store, there
+from prtnet.places import damage, place, put, remove_place, sizes, store, there
 
 __all__ = ["DatasetRepair"]
 
@@ -54,7 +52,7 @@ class DatasetRepair(DatasetWriter):
         poses: int,
         block: int,
     ) -> None:
-        self.path = place(path).resolve()
+        self.path = self._folder = place(path).resolve()
         self.poses, self.block = poses, block
         self.mended: list[str] = []
         with self._disk():
@@ -109,23 +107,13 @@ class DatasetRepair(DatasetWriter):
 
     def _mend(self, sound: Path) -> None:
         """Put the headers and fixed arrays of ``sound`` where the dataset's differ from them."""
-        for name in sorted(sizes(sound)):
+        found = sizes(self.path)
+        for name, size in sorted(sizes(sound).items()):
             file, own = sound / name, self.path / name
-            if not there(own) or own.read_bytes() != file.read_bytes():
+            if found.get(name) != size or own.read_bytes() != file.read_bytes():
                 own.parent.mkdir(parents=True, exist_ok=True)
                 put(file, own)
                 self.mended.append(name)
-
-    def _whole(self, name: str, number: int) -> bool:
-        """Whether a block of an array is there and has its checksum."""
-        array, file = array_of(self._group, name), self._file(name, number)
-        return there(file) and not folder_at(file) and readable(array, number, damage(self.path))
-
-    def _file(self, name: str, number: int) -> Path:
-        """Where a block of an array is."""
-        array = array_of(self._group, name)
-        key = array.metadata.encode_chunk_key((number, *(0,) * (array.ndim - 1)))
-        return self.path / name / key
 
     def missing(self) -> list[int]:
         """Blocks of which an array is damaged or missing."""
@@ -135,8 +123,7 @@ class DatasetRepair(DatasetWriter):
         """Write the damaged arrays of a block again."""
         with self._disk():
             for name in self.bad[block]:
-                if folder_at(file := self._file(name, block)):
-                    remove_place(file)
+                self._make_room(name, block)
                 writable(self._group, name)[self.span(block)] = getattr(values, name)
                 self.mended.append(f"block {block} of {name}")
 
@@ -145,8 +132,3 @@ class DatasetRepair(DatasetWriter):
         with self._disk():
             self._clear(self.path)
         return self.path
-
-
-def folder_at(path: Path) -> bool:
-    """Whether there is a folder where a file should be; stores have none."""
-    return not is_remote(path) and path.is_dir()

@@ -25,12 +25,14 @@ from prtnet.dataset import (
     Block,
     array_of,
     header_sums,
+    readable,
 )
-from prtnet.dataset_checks import check_folder
+from prtnet.dataset_checks import check_folder, chunk_bytes, packed_most
 from prtnet.errors import PrtnetError
 from prtnet.places import (
     COPYING,
     children,
+    damage,
     discard,
     failures,
     is_remote,
@@ -80,6 +82,7 @@ class DatasetWriter:
         fingerprint = fingerprint_of(attributes, fixed, poses, block)
         # Of these options alone: what another run has still under way must not end up in this one.
         self.partial = self.path.with_name(f".{self.path.name}.{fingerprint[:12]}.partial")
+        self._folder = self.partial
         self._markers = self.partial / MARKERS
         self._started = self._markers / fingerprint
         with self._disk():
@@ -90,6 +93,8 @@ class DatasetWriter:
             self.resumed = there(self._started) and (join or self._sound(fixed))
             if self.resumed:
                 self._group = zarr.open_group(store(self.partial), mode="r+", zarr_format=3)
+                if not (join or is_remote(self.path)):  # stores take files whole
+                    self._forget_lost()
                 return
             if join:
                 raise PrtnetError(
@@ -108,6 +113,11 @@ class DatasetWriter:
     def _sound(self, fixed: Mapping[str, Any]) -> bool:
         """Whether what stands there before the first block is as it was written."""
         check_folder(self.partial)
+        if sizes(self._markers)[self._started.name] != 2 * hashlib.sha256().digest_size:
+            return False
+        for name, value in fixed.items():
+            if max(sizes(self.partial / name).values(), default=0) > packed_most(value.nbytes):
+                return False
         try:
             written = self._started.read_text(encoding="ascii")
             return written == ground_sum(self.partial, fixed)
@@ -115,6 +125,36 @@ class DatasetWriter:
             return False
         except failures(self.path):
             return False
+
+    def _forget_lost(self) -> None:
+        """Take the markers of blocks away that did not reach the disk before power was lost."""
+        for number in sorted(set(range(self.blocks)) - set(self.missing())):
+            if lost := [name for name in POSE_ARRAYS if not self._whole(name, number)]:
+                self._marker(number).unlink()
+                for name in lost:
+                    self._make_room(name, number)
+
+    def _whole(self, name: str, number: int) -> bool:
+        """Whether a block of an array is there and has its checksum."""
+        array, file = array_of(self._group, name), self._file(name, number)
+        if not there(file):
+            return False
+        most = packed_most(chunk_bytes(array))
+        if not is_remote(file) and not (file.is_file() and file.stat().st_size <= most):
+            return False
+        return readable(array, number, damage(self.path))
+
+    def _file(self, name: str, number: int) -> Path:
+        """Where a block of an array is."""
+        array = array_of(self._group, name)
+        key = array.metadata.encode_chunk_key((number, *(0,) * (array.ndim - 1)))
+        return self._folder / name / key
+
+    def _make_room(self, name: str, number: int) -> None:
+        """Delete a folder where the file of a block is to be; stores have none."""
+        file = self._file(name, number)
+        if not is_remote(file) and file.is_dir():
+            remove_place(file)
 
     def _left(self) -> list[Path]:
         """What runs of any options left that were stopped."""

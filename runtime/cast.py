@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from prtnet.arrays import FloatArray
 from prtnet.brdf import BRDF
 from prtnet.environment import Environment
 from prtnet.gpu_tables import GPUTables
 from prtnet.modelled_scene import ModelledScene
+from runtime.camera import Camera
+from runtime.crowd import elbow_room
+from runtime.view import framing
 
 __all__ = ["Cast", "Radiance"]
 
@@ -40,3 +44,21 @@ class Cast:
     latents: tuple[Callable[[FloatArray], FloatArray], GPUTables] | None = None
     model_bytes: int | None = None
     occluders: Callable[[FloatArray], FloatArray] | None = None
+    _cameras: dict[str, Camera] = field(default_factory=dict)
+
+    @functools.cached_property
+    def room(self) -> float:
+        """Metres from one of a crowd to the next."""
+        return elbow_room(self.actor)
+
+    def camera(self, clip: str) -> Camera:
+        """Sees the character all through a clip."""
+        if clip not in self._cameras:
+            self._cameras[clip] = framing(self.actor, clip)
+        return self._cameras[clip]
+
+    def ready(self, clip: str) -> None:
+        """Work out now what the first picture needs, of this clip or the first."""
+        names = [known.name for known in self.actor.scene.clips]
+        self.camera(clip if clip in names else names[0])
+        _ = self.room, self.actor.frame_field

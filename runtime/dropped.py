@@ -6,7 +6,6 @@ What cannot be shown is told in the window, and what was there stays.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +27,11 @@ def recast(viewer: Viewer, found: Mapping[str, Path]) -> None:
     desk = viewer.desk
     files = {"model": desk.model, "scene": desk.scene, **viewer.waiting_files, **found}
 
+    def make() -> Cast:
+        cast = desk.open_files(files["model"], files["scene"])
+        cast.ready(viewer.view.clip)
+        return cast
+
     def take(cast: Cast) -> str:
         viewer.take(cast)
         desk.model, desk.scene = files["model"], files["scene"]
@@ -42,4 +46,4 @@ def recast(viewer: Viewer, found: Mapping[str, Path]) -> None:
                 viewer.message += f" (or drop its {'scene' if 'model' in found else 'model'})"
 
     names = " and ".join(path.name for path in found.values())
-    viewer.open(names, partial(desk.open_files, files["model"], files["scene"]), take, fail)
+    viewer.open(names, make, take, fail)

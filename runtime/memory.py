@@ -13,7 +13,7 @@ import moderngl
 __all__ = ["gpu_bytes", "hand_back", "keep_little", "own_bytes", "resident_bytes"]
 
 DEPTH_BYTES = 4  # a sample; drivers round 24 bits up
-TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # of mallopt, in malloc.h
+TRIM_THRESHOLD, MMAP_THRESHOLD, ARENA_MAX = -1, -3, -8  # of mallopt, in malloc.h
 KEPT = 1 << 20  # bytes that are free, of each thread
 MAPPED = 4 << 20  # bytes from which an array goes back at once: what is larger leaves larger holes
 
@@ -59,12 +59,14 @@ def keep_little() -> None:
 
     By itself it comes to keep up to 64 MB for every thread that ever made something large, which
     ``malloc_trim`` does not hand back: a window that is open for long, and traces and makes things
-    beside its frames, went up and down by hundreds of megabytes.
+    beside its frames, went up and down by hundreds of megabytes. What threads make then lies
+    together, not in an arena of each with holes of its own.
     """
     mallopt = of_glibc("mallopt")
     if mallopt is not None:
         mallopt(MMAP_THRESHOLD, MAPPED)
         mallopt(TRIM_THRESHOLD, KEPT)
+        mallopt(ARENA_MAX, 1)
 
 
 def hand_back() -> None:

@@ -25,7 +25,7 @@ from prtnet.zh import Lobes
 from runtime.background import Background
 from runtime.camera import Camera
 from runtime.cast import Cast
-from runtime.crowd import crowd_places, crowd_poses, elbow_room
+from runtime.crowd import crowd_places, crowd_poses
 from runtime.error_pictures import error_scale, vertex_error
 from runtime.looks import (
     cut_lobes,
@@ -51,7 +51,7 @@ from runtime.sight import Sight
 from runtime.stage import Stage
 from runtime.studio import Studio
 from runtime.vertex_sphere import inset_of, receiver_at
-from runtime.view import UNLIT, View, framing
+from runtime.view import UNLIT, View
 
 __all__ = ["Show"]
 
@@ -86,7 +86,6 @@ class Show(Sight[View]):
         self._inset: tuple[Any, list[tuple[FloatArray, tuple[int, int]]]] | None = None
         self._crowd: tuple[Any, FloatArray, list[Subject]] | None = None
         self._evaluated: dict[Any, list[Any]] = {}  # by what evaluates the crowd's poses
-        self._room = elbow_room(self.actor)
         self._white = white_light(self.order)
         self._matte = material(brdf_named("matte"), order=self.order)
         self.rebuilt: Stage | None = None
@@ -126,12 +125,12 @@ class Show(Sight[View]):
 
     def framed(self, view: View) -> Camera:
         """Sees the first clip."""
-        return framing(self.actor, view.clip)
+        return self.cast.camera(view.clip)
 
     def camera(self, view: View) -> Camera:
         """Where a view is from; it sees as far as the last of a crowd."""
         camera = super().camera(view)
-        behind = math.sqrt(2.0 * view.copies) * self._room
+        behind = math.sqrt(2.0 * view.copies) * self.cast.room
         return camera if view.copies == 1 else replace(camera, far=camera.far + behind)
 
     def lay_over(self, view: View, size: tuple[int, int], target: Any) -> None:
@@ -317,7 +316,7 @@ class Show(Sight[View]):
             started = clock.perf_counter()
             self._evaluated[evaluate] = list(evaluate(poses))
             self.count(model=1e3 * (clock.perf_counter() - started))
-        places = crowd_places(view.copies, self._room)[1:]
+        places = crowd_places(view.copies, self.cast.room)[1:]
         return list(zip(subjects, places, self._evaluated[evaluate], strict=True))
 
     def pick(

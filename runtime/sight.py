@@ -169,8 +169,10 @@ class Sight(ABC, Generic[V]):
                 self.draw_side(mode, view, camera, size, frame, exposure)
         frame.scissor = None
         if view.light not in self.exposures and self._expose(view, split):
-            self.draw(view, size, target)  # also what is at an exposure of its own
-            return
+            if {view.left, view.right} & set(self.unlit):  # drawn at an exposure of its own
+                self.draw(view, size, target)
+                return
+            exposure = self.exposures[view.light] * 2.0**view.exposure
         for task in failed:
             if task.unheard:  # nobody has asked for it any more
                 task.release()

@@ -212,7 +212,10 @@ def zarr_group(files: Files, rng: random.Random) -> Files:
             text = f'{whole[:-1]}, "consolidated_metadata": {{{told}}}}}'
             found[root] = text.encode("utf-8", "replace")
         case _:
-            array = rng.choice([name.split("/")[1] for name in headers[1:]])
+            # Of what is half written some have no chunk yet.
+            there = [name.split("/")[1] for name in headers[1:]]
+            there = [a for a in there if any(f"/{a}/c/0" in name for name in chunks)]
+            array = rng.choice(there)
             found = {name: content for name, content in files.items() if f"/{array}/" not in name}
             found |= rewritten(files, root, array, rng)
     if rng.random() < 0.8:

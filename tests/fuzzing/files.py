@@ -75,4 +75,4 @@ class Place:
     def copy(self, to: Path) -> None:
         """Keep the present files elsewhere, links as links."""
         shutil.rmtree(to, ignore_errors=True)
-        shutil.copytree(self.folder, to, symlinks=True)
+        Place(to).hold(self._held)  # holes stay holes

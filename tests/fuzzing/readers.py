@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import io
 import json
+import os
 import random
+import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,13 +23,22 @@ from data_gen.grey_image import read_grey
 from data_gen.readers import read_scene
 from data_gen.scene_info import describe
 from data_gen.static_mesh import read_mesh
-from prtnet.all_frequency_file import save_fields
+from prtnet.all_frequency_file import load_fields, save_fields
+from prtnet.array_file import ALL_FREQUENCY, header_key
+from prtnet.block_files import read_block, read_part, write_block
 from prtnet.cli_info import described
+from prtnet.cli_render_field import read_field, worn_by
 from prtnet.dataset import POSE_ARRAYS, Dataset
+from prtnet.dataset_repair import DatasetRepair
+from prtnet.dataset_writer import DatasetWriter
 from prtnet.environment import environment
+from prtnet.errors import PrtnetError
 from prtnet.lobe_fit import lobe_field
 from prtnet.merl import read_merl
 from prtnet.model import VisibilityModel
+from runtime.all_frequency_shot import framing, opened
+from runtime.camera import Camera
+from runtime.field_shot import FieldShot
 from tests.all_frequency import random_field
 from tests.fuzzing import array_files, pictures, scenes
 from tests.fuzzing.files import Files, Holed, target
@@ -41,6 +52,7 @@ from tests.small_scene import small_scene
 
 __all__ = ["READERS", "Reader"]
 
+LARGE = 1 << 20  # bytes
 STRETCHED = 0.01  # of cases: a whole file, and then zeros up to a terabyte
 UP = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
 
@@ -53,11 +65,13 @@ class Reader:
         make: writes sound files into an empty folder, each with what belongs to it.
         mutate: a damaged copy of a case's files.
         use: reads the file as commands do, and does a little with it.
+        writes: whether it changes files, of the case's folder alone.
     """
 
     make: Callable[[Path], list[Files]]
     mutate: Callable[[Files, random.Random], Files]
     use: Callable[[Path], object]
+    writes: bool = False
 
     @functools.cached_property
     def sound(self) -> list[Files]:
@@ -245,11 +259,12 @@ def use_facts(path: Path) -> None:
 def datasets(folder: Path) -> list[Files]:
     test_dataset.write(folder / "old.zarr")
     test_dataset.write(folder / "new.zarr", made_with={"prtnet": "0"})
-    return [
-        {str(p.relative_to(folder)): p.read_bytes() for p in [root, *every] if p.is_file()}
-        for name in ("old.zarr", "new.zarr")
-        if (root := folder / name / "zarr.json") and (every := sorted((folder / name).rglob("*")))
-    ]
+    return [folder_files(folder, folder / name) for name in ("old.zarr", "new.zarr")]
+
+
+def whole_datasets(folder: Path) -> list[Files]:
+    test_dataset.write(folder / "set.zarr")
+    return [folder_files(folder, folder / "set.zarr")]
 
 
 def use_dataset(path: Path) -> None:
@@ -260,6 +275,89 @@ def use_dataset(path: Path) -> None:
     data.training_poses()
     for clip in data.clip_names:
         data.poses_of(clip)
+
+
+def half_written(folder: Path) -> list[Files]:
+    """Datasets with none, one and two of their three blocks."""
+    found = []
+    for blocks in range(3):
+        own = folder / str(blocks)
+        own.mkdir()
+        book = test_dataset.writer(own / "set.zarr")
+        for block in range(blocks):
+            book.write(block, test_dataset.part(test_dataset.whole(), book.span(block)))
+        found.append(folder_files(own, book.partial))
+    return found
+
+
+def folder_files(folder: Path, root: Path) -> Files:
+    """What is in a group of Zarr, its own header first."""
+    names = [root / "zarr.json", *(p for p in sorted(root.rglob("*")) if p != root / "zarr.json")]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in names if path.is_file()}
+
+
+def ended(path: Path, name: str, write: Callable[[Path], DatasetWriter]) -> None:
+    """Write the rest of a dataset, of a copy under that name; what comes of it must be whole."""
+    with tempfile.TemporaryDirectory(dir=path.parent) as made:
+        shutil.copytree(path, Path(made) / name, symlinks=True, copy_function=copied)
+        done = test_dataset.filled(write(Path(made) / "set.zarr")).finish()
+        try:
+            use_dataset(done)
+        except PrtnetError as error:
+            raise AssertionError("what was called whole is not") from error
+
+
+def copied(source: str, target: str) -> None:
+    """A file that is small, or the same one again."""
+    (os.link if os.path.getsize(source) > LARGE else shutil.copyfile)(source, target)
+
+
+def use_half_written(path: Path) -> None:
+    ended(path, path.name, test_dataset.writer)
+
+
+def use_damaged(path: Path) -> None:
+    ended(path, "set.zarr", repair)
+
+
+def repair(path: Path) -> DatasetRepair:
+    """One of the datasets that ``test_dataset`` writes."""
+    told = test_dataset.ATTRIBUTES, test_dataset.fixed(), test_dataset.POSES, test_dataset.BLOCK
+    return DatasetRepair(path, *told)
+
+
+def blocks(folder: Path) -> list[Files]:
+    """What passes between machines: JSON, and arrays of several types."""
+    rng = np.random.default_rng(0)
+    arrays = {"a": rng.normal(size=(4, 3)), "b": np.arange(5, dtype=np.int32), "c": np.zeros(0)}
+    write_block(folder / "given", {}, arrays)
+    write_block(folder / "done", {"rounds": 3, "error": [0.5, 0.25]}, arrays)
+    return single(folder)
+
+
+def use_block(path: Path) -> None:
+    header, arrays = read_block(path)
+    json.dumps(header).encode()
+    for name in arrays:
+        read_part(path, name, slice(1, 3)) if arrays[name].ndim else read_part(path, name)
+
+
+def use_field(path: Path) -> None:
+    """Facts, and a picture of a few pixels."""
+    use_facts(path)
+    if header_key(path) == ALL_FREQUENCY:
+        fields = load_fields(path)
+        camera = framing(fields, 1.0, 0.5, 0.2)
+        with opened(fields, "cpu", (4, 4)) as drawer:
+            drawer.light(np.ones((24, (fields[0].size // 2) ** 2, 3), dtype=np.float32))
+            drawn = drawer.draw(camera.matrix(1.0), np.asarray(camera.eye))
+    else:
+        field = read_field(path)
+        canvas = worn_by(None, 1, field.layout).rest
+        light = np.linspace(1.0, 0.5, 3 * field.order**2).reshape(-1, 3)
+        camera = Camera.framing(canvas.positions, 1.0, 0.5, 0.2)
+        drawn = FieldShot(canvas, light, camera, (4, 4)).draw(field, by_table=False, samples=1)
+    assert np.isfinite(drawn).all()
 
 
 READERS = {
@@ -273,8 +371,11 @@ READERS = {
     "mesh": Reader(meshes, pictures.lines, read_mesh),
     "dataset": Reader(datasets, array_files.zarr_group, use_dataset),
     "model": Reader(models, array_files.safetensors_file, use_model),
-    "transfer": Reader(transfer_fields, array_files.safetensors_file, use_facts),
-    "lobes": Reader(lobe_fields, array_files.safetensors_file, use_facts),
-    "all-frequency": Reader(all_frequency_fields, array_files.safetensors_file, use_facts),
+    "transfer": Reader(transfer_fields, array_files.safetensors_file, use_field),
+    "lobes": Reader(lobe_fields, array_files.safetensors_file, use_field),
+    "all-frequency": Reader(all_frequency_fields, array_files.safetensors_file, use_field),
+    "half a dataset": Reader(half_written, array_files.zarr_group, use_half_written, True),
+    "dataset to repair": Reader(whole_datasets, array_files.zarr_group, use_damaged, True),
+    "block of a cluster": Reader(blocks, array_files.safetensors_file, use_block),
 }
 """By name, in the order of the table in docs/reliability.md."""

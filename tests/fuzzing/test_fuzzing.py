@@ -35,7 +35,8 @@ def test_sound_files_are_read(place: Place, name: str) -> None:
         if name == "picture" and files.keys() & {"GIF.png", "EPS.png", "PCX.png", "DDS.png"}:
             assert outcome(READERS[name].use, place.hold(files)) == "refused"
         else:
-            assert outcome(READERS[name].use, place.hold(files)) == "read", target(files)
+            reader = READERS[name]
+            assert outcome(reader.use, place.hold(files), reader.writes) == "read", target(files)
 
 
 @pytest.mark.parametrize("name", READERS)
@@ -47,7 +48,7 @@ def test_damaged_files(place: Place, name: str, capfd: pytest.CaptureFixture[str
         for case in range(CASES):
             path = place.hold(reader.case(f"test {name} {case}"))
             try:
-                counts[outcome(reader.use, path)] += 1
+                counts[outcome(reader.use, path, reader.writes)] += 1
             except Exception as error:
                 pytest.fail(f"case {case}: {''.join(traceback.format_exception(error))[-2000:]}")
     assert counts["read"] > 0

@@ -23,9 +23,10 @@ __all__ = ["WATCH", "BreachError", "bounded", "outcome"]
 FORBIDDEN = (
     "socket.connect", "socket.getaddrinfo", "socket.gethostbyname", "socket.sendto",
     "urllib.Request", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.fork",
-    "pickle.find_class", "os.remove", "os.rename", "os.mkdir", "os.truncate", "os.symlink",
-    "shutil.copyfile",
+    "pickle.find_class",
 )  # fmt: skip
+CHANGES = ("os.remove", "os.rmdir", "os.rename", "os.mkdir", "os.truncate", "os.symlink", "os.link",
+           "os.chmod", "shutil.copyfile")  # fmt: skip
 MODULES = (".py", ".pyc", ".so")  # that are imported late
 WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 LONGEST = 2000  # characters of a line that somebody reads
@@ -40,6 +41,7 @@ class Watch:
 
     def __init__(self) -> None:
         self.folder: str | None = None
+        self.writable = False
         self.opened: list[str] = []
         self.breaches: list[str] = []
 
@@ -47,16 +49,30 @@ class Watch:
         """Note what is out of bounds while a folder is watched."""
         if self.folder is None:
             return
-        if event in FORBIDDEN:
+        if event in FORBIDDEN or (
+            event in CHANGES and not self.may_change(arguments[event == "os.symlink" :])
+        ):
             self.breaches.append(f"{event} {arguments!r:.200}")
         elif event == "open" and isinstance(arguments[0], (str, bytes)):
             name, flags = os.fsdecode(arguments[0]), arguments[2]
             if "\0" in name or name == os.devnull or name.endswith(MODULES):
                 return
             self.opened.append(name)
-            inside = os.path.realpath(name).startswith((self.folder, sys.prefix, sys.base_prefix))
-            if not inside or flags & WRITES:
+            roots = (self.folder, sys.prefix, sys.base_prefix)
+            deleted = self.writable and "/" not in name  # a folder, of one that was opened
+            inside = deleted or os.path.realpath(name).startswith(roots)
+            if not inside or (flags & WRITES and not self.may_change((name,))):
                 self.breaches.append(f"open {name[:200]}")
+
+    def may_change(self, arguments: tuple[Any, ...]) -> bool:
+        """Whether the files that an event names may change: those in the folder, of a writer.
+
+        A name alone is of a folder that was opened, which was looked at then. What a link leads to
+        does not change with the link.
+        """
+        names = [os.fsdecode(one) for one in arguments if isinstance(one, (str, bytes))]
+        places = [os.path.realpath(os.path.dirname(name)) for name in names if "/" in name]
+        return self.writable and all(f"{place}/".startswith(f"{self.folder}/") for place in places)
 
 
 WATCH = Watch()
@@ -64,15 +80,15 @@ sys.addaudithook(WATCH)
 
 
 @contextlib.contextmanager
-def watched(folder: Path) -> Iterator[None]:
-    """Only files of a folder may be opened.
+def watched(folder: Path, writable: bool = False) -> Iterator[None]:
+    """Only files of a folder may be opened, to be written only where it is ``writable``.
 
     Raises:
         BreachError: something else was done.
     """
     WATCH.breaches.clear()
     WATCH.opened.clear()
-    WATCH.folder = os.path.realpath(folder)
+    WATCH.folder, WATCH.writable = os.path.realpath(folder), writable
     try:
         yield
     finally:
@@ -93,14 +109,20 @@ def bounded(room: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (before, most))
 
 
-def outcome(use: Callable[[Path], object], path: Path) -> str:
+def outcome(use: Callable[[Path], object], path: Path, writes: bool = False) -> str:
     """``read`` or ``refused``; what else a reader does passes through.
 
+    Args:
+        use: the reader.
+        path: of its file.
+        writes: whether it may change files beside that one.
+
     Raises:
-        BreachError: it left the file's folder, or its refusal is no line that can be printed.
+        BreachError: it left the file's folder, its refusal is no line that can be printed, or it
+            asked for more memory than there is.
         Exception: any other that it raised, or any warning.
     """
-    with watched(path.parent), warnings.catch_warnings():
+    with watched(path.parent, writes), warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
             use(path)
@@ -109,5 +131,14 @@ def outcome(use: Callable[[Path], object], path: Path) -> str:
             words.encode()
             if "\n" in words or len(words) > LONGEST:
                 raise BreachError(f"a refusal of {len(words)} characters: {words:.200}") from error
+            if any(isinstance(cause, MemoryError) for cause in causes(error)):
+                raise BreachError(f"out of memory, and then: {words:.200}") from error
             return "refused"
     return "read"
+
+
+def causes(error: BaseException) -> Iterator[BaseException]:
+    """What an error was raised for, and that for."""
+    while (cause := error.__cause__ or error.__context__) is not None:
+        yield cause
+        error = cause
