@@ -21,7 +21,7 @@ from prtnet import files
 from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 
-__all__ = ["Document", "Element", "parse", "read_bytes"]
+__all__ = ["MOST_BYTES", "Document", "Element", "parse", "read_bytes"]
 
 MAGIC = b"glTF"
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942

@@ -15,10 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from data_gen.gltf_document import MOST_BYTES
 from data_gen.readers import READERS, read_scene
 from data_gen.surface_points import solid_faces, vertex_normals
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.errors import PrtnetError
+from prtnet.files import read_bytes
 from prtnet.frames import orthonormal_frames, rest_tangents
 from prtnet.scene import PointCacheScene, unit
 
@@ -72,7 +74,10 @@ def loaded(path: Path) -> tuple[FloatArray, IntArray, FloatArray]:
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs tracebacks
     try:
         # Of bytes that have no name no materials and pictures are looked for.
-        data = io.BytesIO(path.read_bytes())
+        content = read_bytes(path, MOST_BYTES)
+        if content is None:
+            raise ValueError(f"it has no end, or over {MOST_BYTES} bytes")
+        data = io.BytesIO(content)
         mesh = trimesh.load_mesh(data, path.suffix[1:].lower(), process=False)
         positions = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)

@@ -132,6 +132,8 @@ def check_segment(one: Segment, points: int, columns: int) -> None:
     for name, kind in types.items():
         if getattr(one, name).dtype != kind:
             raise ValueError(f"{name} has type {getattr(one, name).dtype}")
+    if one.vertices.ndim != 1:
+        raise ValueError(f"vertices have shape {one.vertices.shape}")
     if one.starts.ndim != 1 or len(one.starts) < 1 or one.starts[0] != 0:
         raise ValueError("starts do not begin at 0")
     if (np.diff(one.starts) < 1).any() or one.starts[-1] != len(one.vertices):

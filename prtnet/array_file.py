@@ -21,7 +21,9 @@ __all__ = [
     "ALL_FREQUENCY",
     "BLOCK",
     "LOBES",
+    "LONGEST",
     "MODEL",
+    "PREFIX",
     "TRANSFER",
     "array_bytes",
     "header_key",
@@ -35,6 +37,8 @@ __all__ = [
 MODEL, TRANSFER, LOBES = "prtnet", "prtnet-transfer", "prtnet-lobes"
 ALL_FREQUENCY = "prtnet-all-frequency"
 BLOCK = "prtnet-block"  # of a larger work, from one machine to another
+PREFIX = 8  # bytes of the header's length
+LONGEST = 100_000_000  # bytes of a header, as safetensors has it
 UNREADABLE = (OSError, MemoryError, RecursionError, safetensors.SafetensorError)
 MADE_BY = {
     MODEL: ("model", "train one first"),
@@ -86,6 +90,7 @@ def read_arrays(path: str | Path, key: str) -> tuple[dict[str, Any], dict[str, A
     if not Path(path).is_file():
         raise PrtnetError(path, f"does not exist or is no file; give a .safetensors {kind}")
     try:
+        check_size(Path(path))
         with safetensors.safe_open(path, framework="numpy") as file:
             text = (file.metadata() or {}).get(key)
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
@@ -101,12 +106,27 @@ def read_arrays(path: str | Path, key: str) -> tuple[dict[str, Any], dict[str, A
     return header, arrays
 
 
+def check_size(path: Path) -> None:
+    """Raise ValueError where a file has not as many bytes as its arrays, before it is mapped."""
+    size = path.stat().st_size
+    with open(path, "rb") as file:
+        length = int.from_bytes(file.read(PREFIX), "little")
+        if length > min(LONGEST, size):
+            raise ValueError(f"a header of {length} bytes")
+        told = json.loads(file.read(length))
+    ends = [int(one["data_offsets"][1]) for name, one in told.items() if name != "__metadata__"]
+    whole = PREFIX + length + max(ends, default=0)
+    if size != whole:
+        raise ValueError(f"{size} bytes, where its arrays take {whole}")
+
+
 def header_key(path: str | Path) -> str | None:
     """Which kind of file this is; None where it is none of ours, or no safetensors file."""
     try:
+        check_size(Path(path))
         with safetensors.safe_open(path, framework="numpy") as file:
             known = file.metadata() or {}
-    except UNREADABLE:
+    except (*UNREADABLE, *MISFITS):
         return None
     return next((key for key in MADE_BY if key in known), None)
 

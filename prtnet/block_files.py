@@ -14,14 +14,11 @@ from typing import Any
 import safetensors
 import safetensors.numpy
 
-from prtnet.array_file import BLOCK, array_bytes, read_arrays, write_arrays
+from prtnet.array_file import BLOCK, LONGEST, PREFIX, array_bytes, read_arrays, write_arrays
 from prtnet.errors import MISFITS, PrtnetError
 from prtnet.places import failures, is_remote, remote
 
 __all__ = ["read_block", "read_part", "write_block"]
-
-PREFIX = 8  # bytes of the header's length
-LONGEST = 100_000_000  # bytes of a header, as safetensors has it
 
 
 def write_block(path: Path, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 import zarr
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.dataset_checks import check_attributes, check_fit, check_folder, check_stored
+from prtnet.dataset_checks import check_attributes, check_fit, check_folder, check_stored, honest
 from prtnet.errors import PrtnetError
 from prtnet.places import children, damage, failures, known, place, store, there
 
@@ -79,6 +79,8 @@ class Rows:
 
     def __getitem__(self, index: int | slice | IntArray) -> Any:
         try:
+            if not all(honest(self._array, block) for block in self.blocks(index)):
+                raise ValueError("a file of another size")
             if isinstance(index, (int, slice)):
                 found = np.asarray(self._array[index])
             else:
@@ -93,12 +95,15 @@ class Rows:
         except failures(self._path) as error:
             raise out_of_reach(self._path, error) from error
 
+    def blocks(self, index: int | slice | IntArray) -> list[int]:
+        """Those that hold these poses."""
+        found = np.atleast_1d(np.arange(len(self))[index]) // self._array.chunks[0]
+        return [int(block) for block in np.unique(found)]
+
     def complaint(self, index: int | slice | IntArray) -> str:
         """Which blocks are damaged among those that hold these poses, and what to do about it."""
-        size = self._array.chunks[0]
-        blocks = np.unique(np.atleast_1d(np.arange(len(self))[index]) // size)
         lost = damage(self._path)
-        bad = [block for block in blocks.tolist() if not readable(self._array, block, lost)]
+        bad = [block for block in self.blocks(index) if not readable(self._array, block, lost)]
         where = f" in block {', '.join(map(str, bad[:8]))}{', ...' * (len(bad) > 8)}"
         if self._array.basename not in POSE_ARRAYS or not bad:
             where = ""
@@ -131,6 +136,8 @@ def readable(array: zarr.Array[Any], block: int, lost: tuple[type[Exception], ..
         lost: what reading raises where it is damaged.
     """
     size = array.chunks[0]
+    if not honest(array, block):
+        return False
     try:
         np.asarray(array[block * size : (block + 1) * size])
     except lost:

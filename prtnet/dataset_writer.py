@@ -27,7 +27,7 @@ from prtnet.dataset import (
     header_sums,
     readable,
 )
-from prtnet.dataset_checks import check_folder, chunk_bytes, packed_most
+from prtnet.dataset_checks import check_folder, packed_most
 from prtnet.errors import PrtnetError
 from prtnet.places import (
     COPYING,
@@ -137,10 +137,7 @@ class DatasetWriter:
     def _whole(self, name: str, number: int) -> bool:
         """Whether a block of an array is there and has its checksum."""
         array, file = array_of(self._group, name), self._file(name, number)
-        if not there(file):
-            return False
-        most = packed_most(chunk_bytes(array))
-        if not is_remote(file) and not (file.is_file() and file.stat().st_size <= most):
+        if not there(file) or not (is_remote(file) or file.is_file()):
             return False
         return readable(array, number, damage(self.path))
 

@@ -6,6 +6,7 @@ import collections
 import json
 import os
 import socket
+import time
 import traceback
 from pathlib import Path
 
@@ -19,7 +20,8 @@ from tests.fuzzing.readers import READERS
 from tests.fuzzing.scenes import LINKS, URIS
 from tests.fuzzing.watch import WATCH, BreachError, bounded, outcome
 
-CASES = 300
+CASES, WRITES = 300, 60  # of those that write, which take long
+SECONDS = 2.0  # of processor time, for one case
 ROOM = 1 << 30  # bytes that a reader may take for files of a few kilobytes
 
 
@@ -44,15 +46,19 @@ def test_damaged_files(place: Place, name: str, capfd: pytest.CaptureFixture[str
     reader = READERS[name]
     reader.use(place.hold(reader.sound[0]))  # imports what it needs
     counts: collections.Counter[str] = collections.Counter()
+    cases = WRITES if reader.writes else CASES
     with bounded(ROOM):
-        for case in range(CASES):
+        for case in range(cases):
             path = place.hold(reader.case(f"test {name} {case}"))
+            start = time.process_time()
             try:
                 counts[outcome(reader.use, path, reader.writes)] += 1
             except Exception as error:
                 pytest.fail(f"case {case}: {''.join(traceback.format_exception(error))[-2000:]}")
+            assert time.process_time() - start < SECONDS, case
     assert counts["read"] > 0
-    assert counts["refused"] > CASES // 3
+    # What is damaged is mended by most of those that write.
+    assert counts["refused"] > (0 if reader.writes else cases // 3)
     assert capfd.readouterr() == ("", "")
 
 
@@ -89,12 +95,40 @@ def lines(path: Path) -> None:
     raise type("Two", (PrtnetError,), {"__str__": lambda _: "two\nlines"})(path, "") from error
 
 
-@pytest.mark.parametrize("misuse", [leave, link, write, call, run, lines])
+def hoard(path: Path) -> None:
+    try:
+        bytearray(1 << 60)
+    except MemoryError as error:
+        raise PrtnetError(path, "is damaged") from error
+
+
+@pytest.mark.parametrize("misuse", [leave, link, write, call, run, lines, hoard])
 def test_what_no_reader_may_do(place: Place, misuse: object) -> None:
     path = place.hold({"a": b"x", "link": Link("../outside.bin")})
     with pytest.raises(BreachError):
         outcome(misuse, path)  # type: ignore[arg-type]
     assert outcome(Path.read_bytes, place.hold({"a": b"x"})) == "read"
+
+
+@pytest.mark.parametrize("name", ["in.bin", "folder/in.bin"])
+def test_writers_change_their_folder_alone(place: Place, name: str) -> None:
+    def use(path: Path) -> None:
+        target = path.parent / name
+        if target.parent != path.parent:
+            target.parent.mkdir()
+        target.write_bytes(b"")
+        target.rename(path.parent / "other")
+        (path.parent / "other").unlink()
+
+    def steal(path: Path) -> None:
+        os.rename(path, path.parent.parent / "outside.bin")
+
+    path = place.hold({"a": b"x"})
+    with pytest.raises(BreachError, match=r"open|mkdir"):
+        outcome(use, path)
+    assert outcome(use, path, writes=True) == "read"
+    with pytest.raises(BreachError, match="rename"):
+        outcome(steal, path, writes=True)
 
 
 def test_memory_is_bounded() -> None:

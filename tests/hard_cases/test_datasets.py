@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -12,6 +13,8 @@ import pytest
 from prtnet.dataset import HEADERS, POSE_ARRAYS, Dataset
 from prtnet.dataset_repair import DatasetRepair
 from prtnet.errors import PrtnetError
+from tests.fuzzing.array_files import checksummed
+from tests.fuzzing.watch import bounded
 from tests.hard_cases.measured import refuses, says
 from tests.prtnet.test_dataset import (
     ATTRIBUTES,
@@ -81,7 +84,7 @@ def test_a_flipped_bit_in_any_file_is_told(path: Path) -> None:
 
 
 def test_a_half_written_one_that_is_damaged_is_begun_anew(path: Path) -> None:
-    """A flipped bit in what is written before the first block, or in the mark of that."""
+    """A flipped bit anywhere; of a block that block is written again, of all else everything."""
     good, rng, seen = contents(path), np.random.default_rng(6), 0
     for file in [*good, "mark"]:
         book = writer(path)
@@ -95,11 +98,65 @@ def test_a_half_written_one_that_is_damaged_is_begun_anew(path: Path) -> None:
         damaged.write_bytes(held)
         again = writer(path)
         by_pose = file.split("/")[0] in POSE_ARRAYS and not file.endswith("zarr.json")
-        assert again.missing() == ([0, 2] if by_pose else [0, 1, 2])
-        found = contents(filled(again).finish())
-        assert by_pose or found == good
+        assert again.resumed == by_pose
+        assert again.missing() == [0, 1, 2]
+        assert contents(filled(again).finish()) == good
         seen += 1
     assert seen == 1 + 1 + ARRAYS + 9 + len(POSE_ARRAYS)
+
+
+@pytest.mark.parametrize("what", ["gone", "empty", "half", "a folder", "huge"])
+def test_blocks_that_did_not_reach_the_disk_are_written_again(path: Path, what: str) -> None:
+    """Their markers did, when power was lost."""
+    good, book = contents(path), writer(path)
+    for block in range(2):
+        book.write(block, part(whole(), book.span(block)))
+    file = book.partial / "normals/c/1/0/0"
+    data = file.read_bytes()
+    file.unlink()
+    match what:
+        case "empty" | "half":
+            file.write_bytes(data[: len(data) // 2] if what == "half" else b"")
+        case "a folder":
+            file.mkdir()
+        case "huge":
+            file.write_bytes(data)
+            os.truncate(file, 10**12)
+    again = writer(path)
+    assert again.resumed
+    assert again.missing() == [1, 2]
+    assert contents(filled(again).finish()) == good
+
+
+@pytest.mark.parametrize("file", ["zarr.json", "pose/zarr.json", "faces/c/0/0", "time/c/0"])
+def test_files_of_a_terabyte_are_not_read(path: Path, file: str) -> None:
+    good, rights = contents(path), (path / file).read_bytes()
+    os.truncate(path / file, 10**12)
+    with bounded(1 << 30):
+        with refuses() as caught:
+            read(path)
+        words = "is no header" if file.endswith("zarr.json") else "is damaged"
+        says(caught.value.message, words)
+        if file.endswith("zarr.json"):
+            with refuses():
+                DatasetRepair(path, ATTRIBUTES, fixed(), POSES, BLOCK)
+            (path / file).write_bytes(rights[:9])
+        book = DatasetRepair(path, ATTRIBUTES, fixed(), POSES, BLOCK)
+        assert contents(filled(book).finish()) == good
+
+
+def test_blocks_that_claim_to_unpack_to_gigabytes_are_not(path: Path) -> None:
+    """With a checksum that is right: Blosc would take the memory first."""
+    good, file = contents(path), path / "pose/c/1/0"
+    data = file.read_bytes()[:-4]
+    file.write_bytes(checksummed(data[:4] + (2**31 - 1).to_bytes(4, "little") + data[8:]))
+    with bounded(1 << 30):
+        with refuses() as caught:
+            read(path)
+        says(caught.value.message, "array 'pose' is damaged in block 1")
+        assert not isinstance(caught.value.__cause__, MemoryError)
+        book = DatasetRepair(path, ATTRIBUTES, fixed(), POSES, BLOCK)
+        assert contents(filled(book).finish()) == good
 
 
 def test_a_half_written_one_with_a_link_is_refused(path: Path, tmp_path: Path) -> None:
