@@ -115,7 +115,7 @@ def test_writers_change_their_folder_alone(place: Place, name: str) -> None:
     def use(path: Path) -> None:
         target = path.parent / name
         if target.parent != path.parent:
-            target.parent.mkdir()
+            target.parent.mkdir(exist_ok=True)
         target.write_bytes(b"")
         target.rename(path.parent / "other")
         (path.parent / "other").unlink()
