@@ -9,7 +9,6 @@ narrow highlights are found. Every receiver has random numbers of its own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from data_gen.rays import border_operator, departure
 from data_gen.visibility import Tracer
 from prtnet.arrays import FloatArray
 from prtnet.brdf import BRDF
+from prtnet.cores import lasting_threads
 from prtnet.environment import Environment
 from prtnet.frames import FrameField, orthonormal_frames
 from prtnet.reflection import local_view
@@ -129,8 +129,8 @@ def traced(
 
     size = max(1, BATCH // ways.rays)
     parts = [slice(start, start + size) for start in range(0, len(origins), size)]
-    with ThreadPoolExecutor(threads) as pool:
-        return np.concatenate(list(pool.map(reflected, parts))).astype(np.float32)
+    found = lasting_threads(threads).map(reflected, parts)
+    return np.concatenate(list(found)).astype(np.float32)
 
 
 def estimate(

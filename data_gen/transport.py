@@ -17,7 +17,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,6 +27,7 @@ from data_gen.casters import Caster, Hits, caster_of
 from prtnet import sh
 from prtnet.arrays import FloatArray
 from prtnet.console import Report, silent
+from prtnet.cores import lasting_threads
 from prtnet.exchange import Given, Result, exchange
 from prtnet.sh_rotation import rotate
 
@@ -137,10 +137,10 @@ def gather(
     else:
         sky = Sky(caster, order, values, open_sky)
         found = []
-        with ThreadPoolExecutor(threads) as pool:
-            for done, one in enumerate(pool.map(sky, slices(len(caster), step)), 1):
-                found.append(one)
-                told(done)
+        gathered = lasting_threads(threads).map(sky, slices(len(caster), step))
+        for done, one in enumerate(gathered, 1):
+            found.append(one)
+            told(done)
     direct, hidden = together(found)
     return Gathering(direct, hidden)
 

@@ -21,6 +21,7 @@ from embreex.rtcore_scene import EmbreeScene
 from data_gen.rays import LIFT, border_operator, departure
 from prtnet import sh
 from prtnet.arrays import BoolArray, FloatArray, IntArray
+from prtnet.cores import lasting_threads
 from prtnet.frames import FrameField
 from prtnet.scene import Receivers, Scene
 
@@ -187,5 +188,5 @@ def trace_pose(
 ) -> FloatArray:
     """True visibility (P, V, n²) float32 of flattened poses (P, D), in local frames."""
     tracer = PoseTracer(scene, receivers, frame_field, order, rays)
-    with ThreadPoolExecutor(threads) as pool:
-        return np.stack([traced.visibility for traced in tracer.map(poses, pool)])
+    traced = tracer.map(poses, lasting_threads(threads))
+    return np.stack([pose.visibility for pose in traced])

@@ -1,10 +1,12 @@
-"""How many threads are worth starting."""
+"""How many threads are worth starting, and threads that last."""
 
 from __future__ import annotations
 
+import functools
 import os
+from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["core_count"]
+__all__ = ["core_count", "lasting_threads"]
 
 
 def core_count() -> int:
@@ -12,3 +14,12 @@ def core_count() -> int:
     if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+@functools.cache
+def lasting_threads(count: int) -> ThreadPoolExecutor:
+    """So many threads that trace, never ended: Embree keeps a kilobyte for each that ever did.
+
+    What they run must not wait for others of them.
+    """
+    return ThreadPoolExecutor(count, "tracing")

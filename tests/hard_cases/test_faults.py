@@ -3,26 +3,38 @@
 from __future__ import annotations
 
 import random
+import shutil
+from collections.abc import Iterator
 
 import pytest
 
-from bench.faults import JOBS, Bench, Fault, Job, Outcome, clear
+from bench.faults import JOBS, Bench, Fault, Job, Outcome, clear, contents
 from bench.faults import KINDS as FAULTS
 
-QUICK = tuple(job for job in JOBS if job.name in ("generate", "bake"))
+QUICK = tuple(
+    job for job in JOBS if job.name in ("generate", "bake", "generate (--repair)") or job.far
+)
 PRELOAD = ("prtnet.cli_bake", "prtnet.lobe_fit", "data_gen.generate", "data_gen.bake")
-KINDS = FAULTS[:3]
+CASES = [
+    pytest.param(job, kind, id=f"{kind}-{job.name}")
+    for job in QUICK
+    for kind in job.kinds
+    # On a cluster each takes seconds.
+    if kind != "small disk" and (not job.far or kind == "worker killed")
+]
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    return Bench(tmp_path_factory.mktemp("faults"), QUICK, PRELOAD)
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+    made = Bench(tmp_path_factory.mktemp("faults"), QUICK, PRELOAD)
+    yield made
+    made.cluster.close()
 
 
-@pytest.mark.parametrize("job", QUICK, ids=lambda job: job.name)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("job", "kind"), CASES)
 def test_the_same_command_again_mends_it(bench: Bench, job: Job, kind: str) -> None:
-    rng = random.Random(KINDS.index(kind))
+    rng = random.Random(FAULTS.index(kind))
     for old in (False, True):
         outcomes = [bench.survives(job, bench.fault(job, kind, old, rng), old)]
         while not outcomes[-1][1] and len(outcomes) < 4:  # it came too late
@@ -34,7 +46,7 @@ def test_the_same_command_again_mends_it(bench: Bench, job: Job, kind: str) -> N
 def test_a_fault_strikes(bench: Bench) -> None:
     """Killed and full runs end as such, and what is missing or other is seen."""
     job = QUICK[0]
-    argv = job.argv(bench.inputs, bench.work / job.out)
+    argv = bench.argv(job, bench.work / job.out)
     assert bench.run(argv, Fault(step=20)).status == -9
     for step in range(20, 40):  # some steps can do without room
         clear(bench.work)
@@ -53,5 +65,18 @@ def test_an_older_file_that_is_gone_is_seen(bench: Bench) -> None:
     assert "an older file is gone" in bench.lost_of(job, killed, before)
     assert bench.lost_of(job, killed, {}) == ""
     (bench.work / job.out).write_bytes(b"half")
+    assert "not whole" in bench.lost_of(job, killed, before)
+    clear(bench.work)
+
+
+def test_what_a_repair_leaves_half_done_is_no_loss(bench: Bench) -> None:
+    """A file is as it was or as it should be; any other is seen."""
+    job = next(job for job in QUICK if job.damaged)
+    out, killed = bench.work / job.out, Outcome(-9, 1.0, 0, "")
+    shutil.copytree(bench.older(job) / job.out, out)
+    before = contents(out)
+    assert not bench.is_whole(job, out)
+    assert bench.lost_of(job, killed, before) == ""
+    (out / job.damaged[0]).write_bytes(b"half")
     assert "not whole" in bench.lost_of(job, killed, before)
     clear(bench.work)
