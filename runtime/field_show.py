@@ -154,7 +154,8 @@ class FieldShow(Sight[FieldView]):
             made = LobeStage(self.context, field, key[1])
             if held is not None:
                 held[1].release()
-            held = self._stages[key] = field, made, GPUTimer(self.context)
+            timer = self.keep(GPUTimer(self.context)) if held is None else held[2]
+            held = self._stages[key] = field, made, timer
         return held[1:]
 
     def canvas(self, view: FieldView) -> Canvas:

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from types import TracebackType
 from typing import Any, Self
+from weakref import WeakKeyDictionary
 
 import moderngl
 
 __all__ = ["GPUTimer"]
+
+
+SPARE: WeakKeyDictionary[moderngl.Context, list[list[Any]]] = WeakKeyDictionary()
+"""Queries of timers that were given back: moderngl cannot delete any while their context lasts."""
 
 
 class GPUTimer:
@@ -21,12 +26,20 @@ class GPUTimer:
     """
 
     def __init__(self, context: moderngl.Context) -> None:
+        self._spare = SPARE.setdefault(context, [])
         try:
-            self._queries: list[Any] = [context.query(time=True) for _ in range(2)]
+            new = [] if self._spare else [context.query(time=True) for _ in range(2)]
         except Exception:  # whatever a driver without them says
-            self._queries = []
+            new = []
+        self._queries: list[Any] = self._spare.pop() if self._spare else new
         self._drawn = 0
         self.milliseconds: float | None = None
+
+    def release(self) -> None:
+        """Leave the queries to another timer."""
+        if self._queries:
+            self._spare.append(self._queries)
+            self._queries = []
 
     def __enter__(self) -> Self:
         if self._queries:

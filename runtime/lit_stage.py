@@ -49,7 +49,7 @@ class LitStage(Holding, ABC):
         self.milliseconds: dict[str, float] = {}
         self._shape: tuple[int, int, bool] | None = None
         self._faces: IntArray | None = None
-        self._timer = GPUTimer(context)
+        self._timer = self._keep(GPUTimer(context))
 
     def _pose(self, subject: Subject | LobeSubject) -> None:
         """Take vertices, frames and triangles, of another mesh if need be."""

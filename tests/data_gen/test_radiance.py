@@ -1,13 +1,15 @@
 from __future__ import annotations
 
 import math
+import threading
+from typing import Any
 
 import numpy as np
 import pytest
 
 from data_gen.procedural import arm
 from data_gen.radiance import trace_radiance, trace_surface
-from data_gen.visibility import trace_pose
+from data_gen.visibility import Tracer, trace_pose
 from prtnet.brdf import BRDF, GGX, Lambert, Phong, Schlick, albedo
 from prtnet.environment import Environment, environment
 from prtnet.equirectangular import Picture
@@ -213,3 +215,22 @@ def test_a_still_surface_is_traced_as_the_scene_at_rest(scene: SkinnedScene):
     up, along = (np.tile(np.float32(one), (4, 1)) for one in ((0, 1, 0), (1, 0, 0)))
     lid = Surface(corners, up, along, np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))
     assert trace_surface(surface, [surface, lid], *given).sum() < 0.8 * alone.sum()
+
+
+def test_threads_that_trace_last(scene: SkinnedScene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Embree keeps a kilobyte for each that ever traced: a window would take more and more."""
+    receivers, field = fielded(scene)
+    pose = scene.rest_pose()
+    seen: set[int] = set()
+    occluded = Tracer.occluded
+
+    def noted(tracer: Tracer, *rays: Any) -> Any:
+        seen.add(threading.get_ident())
+        return occluded(tracer, *rays)
+
+    monkeypatch.setattr(Tracer, "occluded", noted)
+    for _ in range(4):
+        trace_radiance(scene, receivers, field, pose, EYE, SKY, Lambert(0.5), 64, threads=2)
+        trace_pose(scene, receivers, field, pose, 3, 64, threads=2)
+    assert 1 <= len(seen) <= 2
+    assert threading.get_ident() not in seen
