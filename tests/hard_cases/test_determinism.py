@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm
+from prtnet.all_frequency_file import load_fields
+from prtnet.arrays import FloatArray
 from prtnet.cli import run
 from prtnet.dataset import Dataset
 from prtnet.model import VisibilityModel
+from runtime.all_frequency import shaded
 from tests.hard_cases.measured import close
 
 ROUNDING = 2e-3  # of visibility, whose largest coefficient is √4π; docs/conventions.md
+OF_WHITE = 0.02  # of an all-frequency field's radiance; likewise
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +56,28 @@ def everything(scene: Path, folder: Path, threads: int = 1) -> Path:
             + count, *files)  # fmt: skip
     command("bake bumps --out {1}/bumps.safetensors --size 8x8 --rays 32 --lobes 1 " + count,
             *files)  # fmt: skip
+    command("bake-all-frequency {0} --out {1}/light.safetensors --texels 8 --terms 3 --rows 2 "
+            "--points-per-cluster 40 --brdf ggx:roughness=0.3 " + count, *files)  # fmt: skip
     return folder
+
+
+def elsewhere(scene: Path, folder: Path, seed: int) -> Path:
+    """Everything by another process, whose sets and dictionaries of text have another order."""
+    words = f"from {__name__} import Path, everything; everything(Path({str(scene)!r}), "
+    command = [sys.executable, "-c", f"{words}Path({str(folder)!r}))"]
+    environment = os.environ | {
+        "PYTHONHASHSEED": str(seed),
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
+    subprocess.run(command, env=environment, check=True)
+    return folder
+
+
+def radiance(path: Path) -> FloatArray:
+    """Of an all-frequency field in made-up light."""
+    (field,) = load_fields(path)
+    light = np.random.default_rng(0).uniform(size=(6, field.size, field.size, 3))
+    return shaded(field, light.astype(np.float32), np.array([0.0, 1.0, 3.0]))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -56,7 +85,8 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_the_same_commands_write_the_same_bytes(scene: Path, tmp_path: Path) -> None:
-    one, two = (everything(scene, tmp_path / name) for name in ("one", "two"))
+    one = everything(scene, tmp_path / "one")
+    two = elsewhere(scene, tmp_path / "two", seed=1)
     first, second = contents(one), contents(two)
     assert first.keys() == second.keys()
     assert [name for name in first if first[name] != second[name]] == []
@@ -70,3 +100,5 @@ def test_the_same_commands_write_the_same_bytes(scene: Path, tmp_path: Path) -> 
     assert [model.metadata["made_with"]["threads"] for model in models] == [1, 2]
     a, b = (model(poses) for model in models)
     close(a, b, atol=ROUNDING)
+    bright, other_bright = (radiance(at / "light.safetensors") for at in (one, more))
+    close(bright, other_bright, atol=OF_WHITE * float(bright.max()))
