@@ -1,7 +1,7 @@
 """Build wheel and sdist into dist/ and try them where nothing else is (``make dist``).
 
 The wheel holds the four packages and no more, has the same bytes built from the sdist as from the
-tree, and ``prtnet demo --quick`` runs from it in an empty environment.
+tree, and ``prtnet demo --quick`` runs from it in an empty environment, and then from the sdist.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ def build(folder: Path, *options: str) -> None:
         raise SystemExit(f"build: failed\n{done.stdout}{done.stderr}")
 
 
-def try_out(wheel: Path, folder: Path) -> None:
-    """Install a wheel into a new environment in a folder and run the demonstration there."""
+def try_out(wheel: Path, sdist: Path, folder: Path) -> None:
+    """Install both in turn into a new environment in a folder and run the demonstration there."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     scripts = folder / "venv" / "bin"
 
@@ -92,11 +92,13 @@ def try_out(wheel: Path, folder: Path) -> None:
     run(sys.executable, "-m", "venv", scripts.parent)
     pip = scripts / "python", "-m", "pip", "--disable-pip-version-check", "--no-input"
     constraints = REPOSITORY / "constraints.txt"
-    run(*pip, "install", "-qq", "--no-compile", "-c", constraints, wheel)
-    run(*pip, "check")
-    run(scripts / "prtnet", "demo", "--quick", "--out", "demo")
-    if lost := [name for name in MADE if not (folder / "demo" / name).is_file()]:
-        raise SystemExit(f"prtnet demo: made no {', '.join(lost)}")
+    for archive, again in ((wheel, ()), (sdist, ("--no-deps", "--force-reinstall"))):
+        out = f"demo-{archive.suffix[1:]}"
+        run(*pip, "install", "-qq", "--no-compile", "-c", constraints, *again, archive)
+        run(*pip, "check")
+        run(scripts / "prtnet", "demo", "--quick", "--out", out)
+        if lost := [name for name in MADE if not (folder / out / name).is_file()]:
+            raise SystemExit(f"prtnet demo: made no {', '.join(lost)}")
 
 
 def main() -> None:
@@ -111,7 +113,7 @@ def main() -> None:
             if archive.read_bytes() != (folder / archive.name).read_bytes():
                 raise SystemExit(f"{archive.name}: has other bytes when it is built again")
         check_contents(wheel, sdist)
-        try_out(wheel, folder)
+        try_out(wheel, sdist, folder)
 
 
 if __name__ == "__main__":
