@@ -5,6 +5,7 @@ Reading one runs no code of the file, and ends with arrays or with one line.
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -108,6 +109,8 @@ def read_arrays(path: str | Path, key: str) -> tuple[dict[str, Any], dict[str, A
 
 def check_size(path: Path) -> None:
     """Raise ValueError where a file has not as many bytes as its arrays, before it is mapped."""
+    if not path.is_file():  # to open a pipe waits for who writes to it
+        raise FileNotFoundError(errno.ENOENT, "no such file")
     size = path.stat().st_size
     with open(path, "rb") as file:
         length = int.from_bytes(file.read(PREFIX), "little")

@@ -23,6 +23,7 @@ __all__ = [
     "check_fit",
     "check_folder",
     "check_stored",
+    "chunk_key",
     "honest",
     "packed_most",
 ]
@@ -79,20 +80,22 @@ def packed_most(size: int) -> int:
     return size + SMALL
 
 
-def block_file(array: zarr.Array[Any], block: int) -> Path | None:
-    """Where a block of an array is; None in a store, which holds no links and no holes."""
-    root = getattr(array.store, "root", None)
-    key = array.metadata.encode_chunk_key((block, *(0,) * (array.ndim - 1)))
-    return None if root is None else Path(root) / array.path / key
+def chunk_key(array: zarr.Array[Any], block: int) -> str:
+    """The name of a block's file within the array's folder."""
+    return str(array.metadata.encode_chunk_key((block, *(0,) * (array.ndim - 1))))
 
 
 def honest(array: zarr.Array[Any], block: int) -> bool:
     """Whether a block, if it is there, takes no more memory than it should to be read.
 
-    Its file is read whole, and Blosc takes memory for what the header claims to unpack to.
+    Its file is read whole, and Blosc takes memory for what the header claims to unpack to. What
+    lies in a store is trusted.
     """
-    file, size = block_file(array, block), chunk_bytes(array)
-    if file is None or not file.is_file():
+    root, size = getattr(array.store, "root", None), chunk_bytes(array)
+    if root is None:
+        return True
+    file = Path(root) / array.path / chunk_key(array, block)
+    if not file.is_file():
         return True
     if file.stat().st_size > packed_most(size):
         return False

@@ -27,7 +27,7 @@ from prtnet.dataset import (
     header_sums,
     readable,
 )
-from prtnet.dataset_checks import check_folder, packed_most
+from prtnet.dataset_checks import check_folder, chunk_key, packed_most
 from prtnet.errors import PrtnetError
 from prtnet.places import (
     COPYING,
@@ -143,9 +143,7 @@ class DatasetWriter:
 
     def _file(self, name: str, number: int) -> Path:
         """Where a block of an array is."""
-        array = array_of(self._group, name)
-        key = array.metadata.encode_chunk_key((number, *(0,) * (array.ndim - 1)))
-        return self._folder / name / key
+        return self._folder / name / chunk_key(array_of(self._group, name), number)
 
     def _make_room(self, name: str, number: int) -> None:
         """Delete a folder where the file of a block is to be; stores have none."""

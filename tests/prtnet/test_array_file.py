@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import safetensors.numpy
 
 from prtnet.array_file import MODEL, TRANSFER, header_key, read_arrays, write_arrays
 from prtnet.errors import PrtnetError
+from tests.fuzzing.watch import bounded
 
 
 def complaint(path: Path, key: str) -> str:
@@ -56,3 +58,30 @@ def test_damaged_and_missing(tmp_path: Path) -> None:
     path.write_bytes(b"\xff" * 40)
     assert "damaged" in complaint(path, TRANSFER)
     assert header_key(path) is None
+
+
+@pytest.mark.parametrize("change", [-1, 1, 10**12])
+def test_files_that_are_longer_or_shorter_than_their_arrays_are_not_mapped(
+    tmp_path: Path, change: int
+) -> None:
+    path = tmp_path / "a.safetensors"
+    write_arrays(path, {"is": "ours"}, {"a": np.zeros(5)}, TRANSFER)
+    size = path.stat().st_size
+    os.truncate(path, size + change)
+    with bounded(1 << 30):
+        assert f"{size + change} bytes, where its arrays take {size}" in complaint(path, TRANSFER)
+        assert header_key(path) is None
+
+
+@pytest.mark.parametrize("length", [2**40, 99_999_999])
+def test_headers_that_claim_to_be_long_are_not_read(tmp_path: Path, length: int) -> None:
+    path = tmp_path / "a.safetensors"
+    path.write_bytes(length.to_bytes(8, "little") + b"{}")
+    with bounded(1 << 30):
+        assert f"a header of {length} bytes" in complaint(path, TRANSFER)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
+def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.safetensors")
+    assert header_key(tmp_path / "a.safetensors") is None
