@@ -6,6 +6,7 @@ What cannot be shown is told in the window, and what was there stays.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,9 +28,12 @@ def recast(viewer: Viewer, found: Mapping[str, Path]) -> None:
     desk = viewer.desk
     files = {"model": desk.model, "scene": desk.scene, **viewer.waiting_files, **found}
 
+    opened = partial(desk.open_files, files["model"], files["scene"])
+    clip = viewer.view.clip
+
     def make() -> Cast:
-        cast = desk.open_files(files["model"], files["scene"])
-        cast.ready(viewer.view.clip)
+        cast = opened()
+        cast.ready(clip)
         return cast
 
     def take(cast: Cast) -> str:
