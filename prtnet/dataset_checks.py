@@ -32,6 +32,7 @@ CODECS = {"BytesCodec", "BloscCodec", "Crc32cCodec"}
 # LZ4 makes a run of 255 bytes at most out of each byte: no chunk that we write unpacks to more.
 LARGEST_RATIO, SMALL = 256, 1 << 16
 HEADER, MOST_HEADER = "zarr.json", 1 << 24  # bytes
+MOST_ROWS = 1 << 31  # of a chunk
 TEXTS = ("clip_names", "held_out", "joint_names")
 
 
@@ -122,7 +123,8 @@ def check_stored(path: Path, array: zarr.Array[Any]) -> None:
         stored = sum(sizes(path / name).values())
     else:
         stored = sum(e.stat().st_size for e in entries(path / name) if e.is_file())
-    if array.chunks[1:] != tuple(max(size, 1) for size in array.shape[1:]):
+    others = tuple(max(size, 1) for size in array.shape[1:])
+    if array.chunks[0] > MOST_ROWS or array.chunks[1:] != others:
         raise ValueError(f"{name} is cut into blocks of other sizes")
     claimed = chunk_bytes(array) * array.nchunks
     if claimed > LARGEST_RATIO * stored + SMALL:

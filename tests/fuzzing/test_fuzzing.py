@@ -197,6 +197,8 @@ def change(text: bytes, **values: object) -> bytes:
         ("faces", {"shape": [10**12, 3]}, "claims"),
         ("visibility", {"shape": [10**12, 6, 4]}, "claims"),
         ("time", {"shape": [9]}, "not whole"),
+        ("normals", {"shape": [10, 0, 3], "chunk_grid": {"name": "regular", "configuration": {
+            "chunk_shape": [10**30, 1, 3]}}}, "blocks of other sizes"),
         ("pose", {"data_type": "int32"}, "int32"),
         ("faces", {"codecs": [{"name": "bytes", "configuration": {"endian": "little"}},
                               {"name": "zstd", "configuration": {}}]}, "ZstdCodec"),
