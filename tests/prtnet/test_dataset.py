@@ -286,13 +286,6 @@ def test_what_is_no_dataset(tmp_path: Path) -> None:
     assert "is not a dataset" in complaint(tmp_path / "other.zarr")
 
 
-def test_what_fills_holes_may_be_too_large_for_its_type(dataset: Dataset) -> None:
-    edit(dataset.path)
-    header = dataset.path / "visibility/zarr.json"
-    header.write_text(json.dumps(json.loads(header.read_text()) | {"fill_value": 1e300}))
-    np.testing.assert_array_equal(Dataset.open(dataset.path).visibility[:], whole().visibility)
-
-
 def test_a_complaint_is_no_longer_than_a_line_can_be(dataset: Dataset) -> None:
     edit(dataset.path, format_version=list(range(1000)))
     assert len(complaint(dataset.path)) < 1500
