@@ -262,7 +262,8 @@ class Bench:
         child.join(None if fault is None else fault.seconds)
         struck = child.is_alive()
         if fault is not None and fault.worker:
-            kill_worker(self.cluster)
+            if struck:
+                kill_worker(self.cluster)
             child.join()
         if child.is_alive():
             child.kill()
@@ -297,6 +298,8 @@ class Bench:
                 resize(taken(self.work) + fault.room)
             hurt = self.run(argv, fault)
             lost = self.lost_of(job, hurt, before)
+            if fault.worker and not (hurt.status == 0 and self.is_whole(job, self.work / job.out)):
+                lost = f"not done without the worker: {hurt.told.strip()[-300:]}"
             resize(ROOM)
             return lost or self.lost_after(job, argv), hurt.struck
 
@@ -319,6 +322,8 @@ class Bench:
             names = {name for name in found if not name.endswith(".partial")}
             own = {(name, found[name]) for name in names}
             whole = own <= before.items() | self.whole[job.name].items() and names == set(before)
+        if job.damaged and not found:
+            return f"what was repaired is gone after {hurt}"
         if found and found != before and not whole:
             return f"not whole under its final name after {hurt}"
         return ""
@@ -352,8 +357,10 @@ def started_cluster() -> Any:
 
 
 def kill_worker(cluster: Any) -> None:
-    """One of them; another is started in its place."""
-    os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+    """One of them that runs; another is started in its place."""
+    pids = [worker.pid for worker in cluster.workers.values() if worker.pid is not None]
+    if pids:
+        os.kill(random.choice(pids), signal.SIGKILL)
 
 
 def damage(folder: Path, names: tuple[str, ...]) -> None:
@@ -455,7 +462,8 @@ def main() -> None:
             found = tried(bench, job, own, rng)
             lost += len(found.lost)
             survived = sum(found.struck.values()) - len(found.lost)
-            struck = [count or "–" for count in found.struck.values()]
+            counts = found.struck.items()
+            struck = [count if kind in job.kinds else "–" for kind, count in counts]
             rows.append([f"`prtnet {job.name}`", *struck, survived, len(found.lost), found.idle])
             print(*rows[-1], flush=True)
         if bench.cluster is not None:

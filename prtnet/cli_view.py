@@ -45,11 +45,13 @@ def opened_viewer(
             material, or no window can be opened.
     """
     from runtime.base_viewer import in_window
+    from runtime.memory import keep_little
     from runtime.show import Show
     from runtime.studio import Studio
     from runtime.view import View
     from runtime.viewer import Desk, Viewer
 
+    keep_little()
     environments = functools.cache(environment)
     environments(options.light)
     cast_files = functools.partial(cast_of, rays=options.rays, threads=threads)

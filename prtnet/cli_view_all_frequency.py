@@ -59,8 +59,10 @@ def opened_all_frequency_viewer(
     from runtime.all_frequency_sight import AllFrequencySight, AllFrequencyView
     from runtime.all_frequency_viewer import AllFrequencyDesk, AllFrequencyViewer
     from runtime.base_viewer import in_window
+    from runtime.memory import keep_little
 
     torch.set_num_threads(threads)
+    keep_little()
     environments = functools.cache(environment)
     environments(options.light)
     fields = load_fields(options.field)

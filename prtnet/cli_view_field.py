@@ -75,7 +75,9 @@ def opened_field_viewer(
     from runtime.field_show import FieldShow
     from runtime.field_view import FieldView
     from runtime.field_viewer import FieldDesk, FieldViewer
+    from runtime.memory import keep_little
 
+    keep_little()
     environments = functools.cache(environment)
     environments(options.light)
     cast = field_cast(options.field, options.on, options.repeat, options.compare, threads)

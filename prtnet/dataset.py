@@ -19,7 +19,14 @@ import numpy as np
 import zarr
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.dataset_checks import check_attributes, check_fit, check_folder, check_stored, honest
+from prtnet.dataset_checks import (
+    check_attributes,
+    check_fit,
+    check_folder,
+    check_stored,
+    honest,
+    odd_header,
+)
 from prtnet.errors import PrtnetError
 from prtnet.places import children, damage, failures, known, place, store, there
 
@@ -119,12 +126,12 @@ def sealed(path: Path) -> bytes:
     return header.read_bytes() if there(header) else b""
 
 
-MEND = "repeat the prtnet generate that made it with --repair"
-
-
 def out_of_reach(path: Path, error: Exception) -> PrtnetError:
     """What to say where a store's client fails in a way of its own."""
     return PrtnetError(path, f"cannot be read ({error}); check the store")
+
+
+MEND = "repeat the prtnet generate that made it with --repair"
 
 
 def readable(array: zarr.Array[Any], block: int, lost: tuple[type[Exception], ...]) -> bool:
@@ -136,13 +143,13 @@ def readable(array: zarr.Array[Any], block: int, lost: tuple[type[Exception], ..
         lost: what reading raises where it is damaged.
     """
     size = array.chunks[0]
-    if not honest(array, block):
-        return False
     try:
-        np.asarray(array[block * size : (block + 1) * size])
+        if honest(array, block):
+            np.asarray(array[block * size : (block + 1) * size])
+            return True
     except lost:
-        return False
-    return True
+        pass
+    return False
 
 
 def header_sums(folder: Path, attributes: Mapping[str, Any]) -> dict[str, str]:
@@ -169,9 +176,13 @@ def opened(path: Path) -> zarr.Group:
     """
     try:
         check_folder(path)
+        if (odd := odd_header(path)) is not None:
+            raise PrtnetError(path, f"{odd} is damaged; {MEND}")
         # Headers of arrays within the group's own have no checksum: they are not looked at.
         group = zarr.open_group(store(path), mode="r", zarr_format=3, use_consolidated=False)
         attributes: dict[str, Any] = dict(group.attrs)
+    except PrtnetError:
+        raise
     except damage(path) as error:
         if all(there(header_of(path, name)) for name in POSE_ARRAYS):
             raise PrtnetError(path, f"its zarr.json is damaged; {MEND}") from error

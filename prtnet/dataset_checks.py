@@ -25,6 +25,7 @@ __all__ = [
     "check_stored",
     "chunk_key",
     "honest",
+    "odd_header",
     "packed_most",
 ]
 
@@ -37,7 +38,7 @@ TEXTS = ("clip_names", "held_out", "joint_names")
 
 
 def check_folder(path: Path) -> None:
-    """Refuse a dataset with symbolic links to what lies outside it, or headers that are none.
+    """Refuse a dataset with symbolic links to what lies outside it.
 
     Raises:
         PrtnetError: it has one.
@@ -46,12 +47,20 @@ def check_folder(path: Path) -> None:
         return  # links are the store's affair
     root = path.resolve()
     for entry in entries(path):
-        name = os.path.relpath(entry.path, path)
         if entry.is_symlink() and not inside(Path(entry.path), root):
+            name = os.path.relpath(entry.path, path)
             raise PrtnetError(path, f"{name} is a link to something outside; copy the file there")
-        if entry.name == HEADER and entry.is_file() and entry.stat().st_size > MOST_HEADER:
-            told = f"{name} is no header: it has {entry.stat().st_size} bytes; delete that file"
-            raise PrtnetError(path, told)
+
+
+def odd_header(path: Path) -> str | None:
+    """A header of a dataset that is no file, or too large for one; None where all can be read."""
+    if is_remote(path):
+        return None
+    for file in (path / HEADER, *sorted(path.glob(f"*/{HEADER}"))):
+        fits = file.is_file() and file.stat().st_size <= MOST_HEADER
+        if os.path.lexists(file) and not fits:
+            return file.relative_to(path).as_posix()
+    return None
 
 
 def inside(link: Path, root: Path) -> bool:
@@ -102,10 +111,12 @@ def honest(array: zarr.Array[Any], block: int) -> bool:
         return False
     with open(file, "rb") as chunk:
         claimed = int.from_bytes(chunk.read(8)[4:], "little")
-    packed = any(
-        type(one).__name__ == "BloscCodec" for one in getattr(array.metadata, "codecs", ())
-    )
-    return claimed == size or not packed
+    return claimed == size or "BloscCodec" not in codecs_of(array)
+
+
+def codecs_of(array: zarr.Array[Any]) -> list[str]:
+    """What packs an array, by name."""
+    return [type(one).__name__ for one in getattr(array.metadata, "codecs", ())]
 
 
 def check_stored(path: Path, array: zarr.Array[Any]) -> None:
@@ -116,9 +127,9 @@ def check_stored(path: Path, array: zarr.Array[Any]) -> None:
         array: of it, of which nothing has been read yet.
     """
     name = array.basename
-    codecs = {type(one).__name__ for one in getattr(array.metadata, "codecs", ())}
-    if not codecs <= CODECS:
-        raise ValueError(f"{name} is packed by {', '.join(sorted(codecs - CODECS))}")
+    codecs = codecs_of(array)
+    if not set(codecs) <= CODECS or len(codecs) > len(set(codecs)):
+        raise ValueError(f"{name} is packed by {', '.join(codecs)}")
     if is_remote(path):
         stored = sum(sizes(path / name).values())
     else:

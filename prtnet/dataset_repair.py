@@ -22,10 +22,10 @@ from prtnet.dataset import (
     header_of,
     header_sums,
 )
-from prtnet.dataset_checks import check_folder
+from prtnet.dataset_checks import check_folder, odd_header
 from prtnet.dataset_writer import DatasetWriter, create, writable
 from prtnet.errors import PrtnetError
-from prtnet.places import damage, place, put, remove_place, sizes, store, there
+from prtnet.places import damage, is_remote, place, put, remove_place, sizes, store, there
 
 __all__ = ["DatasetRepair"]
 
@@ -80,6 +80,8 @@ class DatasetRepair(DatasetWriter):
         """Refuse a dataset that was made with other options or versions than are given now."""
         wanted = dict(zarr.open_group(store(sound), mode="r").attrs)
         try:
+            if odd_header(self.path) is not None:
+                raise ValueError("a header that is none")
             group = zarr.open_group(store(self.path), mode="r", zarr_format=3)
             found: dict[str, Any] = dict(group.attrs)
             known = header_sums(self.path, found)[SELF]
@@ -99,7 +101,7 @@ class DatasetRepair(DatasetWriter):
                 )
         # The header of this array has the fingerprint of everything that decides the content.
         told = header_of(self.path, "visibility")
-        same = there(told) and told.read_bytes() == header_of(sound, "visibility").read_bytes()
+        same = self._same(told, header_of(sound, "visibility"))
         if not (intact or same):
             raise PrtnetError(
                 self.path, "was made with other options, or too much is damaged; generate it again"
@@ -107,13 +109,22 @@ class DatasetRepair(DatasetWriter):
 
     def _mend(self, sound: Path) -> None:
         """Put the headers and fixed arrays of ``sound`` where the dataset's differ from them."""
-        found = sizes(self.path)
-        for name, size in sorted(sizes(sound).items()):
+        for name in sorted(sizes(sound)):
             file, own = sound / name, self.path / name
-            if found.get(name) != size or own.read_bytes() != file.read_bytes():
+            if not self._same(own, file):
                 own.parent.mkdir(parents=True, exist_ok=True)
+                if not is_remote(own) and own.is_dir():
+                    remove_place(own)
                 put(file, own)
                 self.mended.append(name)
+
+    def _same(self, own: Path, sound: Path) -> bool:
+        """Whether a file of the dataset is as it should be; one of another size is not read."""
+        if not is_remote(own) and not (
+            own.is_file() and own.stat().st_size == sound.stat().st_size
+        ):
+            return False
+        return there(own) and own.read_bytes() == sound.read_bytes()
 
     def missing(self) -> list[int]:
         """Blocks of which an array is damaged or missing."""

@@ -27,7 +27,7 @@ from prtnet.dataset import (
     header_sums,
     readable,
 )
-from prtnet.dataset_checks import check_folder, chunk_key, packed_most
+from prtnet.dataset_checks import check_folder, chunk_key, odd_header, packed_most
 from prtnet.errors import PrtnetError
 from prtnet.places import (
     COPYING,
@@ -113,7 +113,8 @@ class DatasetWriter:
     def _sound(self, fixed: Mapping[str, Any]) -> bool:
         """Whether what stands there before the first block is as it was written."""
         check_folder(self.partial)
-        if sizes(self._markers)[self._started.name] != 2 * hashlib.sha256().digest_size:
+        mark = sizes(self._markers).get(self._started.name)
+        if mark != 2 * hashlib.sha256().digest_size or odd_header(self.partial) is not None:
             return False
         for name, value in fixed.items():
             if max(sizes(self.partial / name).values(), default=0) > packed_most(value.nbytes):
@@ -130,7 +131,7 @@ class DatasetWriter:
         """Take the markers of blocks away that did not reach the disk before power was lost."""
         for number in sorted(set(range(self.blocks)) - set(self.missing())):
             if lost := [name for name in POSE_ARRAYS if not self._whole(name, number)]:
-                self._marker(number).unlink()
+                self._marker(number).unlink(missing_ok=True)  # an equal run may have, too
                 for name in lost:
                     self._make_room(name, number)
 

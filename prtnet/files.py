@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import glob
 import hashlib
 import os
@@ -14,7 +15,7 @@ from pathlib import Path
 
 from prtnet.errors import PrtnetError
 
-__all__ = ["file_sha256", "finish", "read_bytes", "writing"]
+__all__ = ["file_sha256", "finish", "on_disk", "read_bytes", "writing"]
 
 
 def read_bytes(path: str | Path, most: int) -> bytes | None:
@@ -48,8 +49,33 @@ def finish(partial: Path, final: Path) -> None:
     """Put a whole file or folder under its final name, replacing what stood there.
 
     Neither is ever deleted before the other is in place. A process killed between the two renames
-    leaves both, under hidden names.
+    leaves both, under hidden names. What is in them is on the disk before they are renamed: a loss
+    of power leaves nothing empty under a final name.
     """
+    for path in (partial, *(partial.rglob("*") if partial.is_dir() else ())):
+        on_disk(path)
+    try:
+        replace(partial, final)
+    finally:
+        on_disk(final.parent)
+
+
+def on_disk(path: Path) -> None:
+    """Wait until a file's bytes, or a folder's names, are on the disk, where a system can tell."""
+    if os.name != "posix" or path.is_symlink() or not (path.is_file() or path.is_dir()):
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.EBADF):  # of folders some file systems cannot
+            raise
+    finally:
+        os.close(handle)
+
+
+def replace(partial: Path, final: Path) -> None:
+    """The renames of :func:`finish`."""
     if not (final.is_dir() or partial.is_dir()):
         os.replace(partial, final)
         return

@@ -21,7 +21,7 @@ from prtnet.arrays import FloatArray
 from prtnet.errors import PrtnetError
 from runtime import recording
 from runtime.background import Background
-from runtime.memory import hand_back, keep_little
+from runtime.memory import hand_back
 from runtime.outlook import Outlook
 from runtime.sight import Sight
 
@@ -114,7 +114,6 @@ def in_window(title: str, size: tuple[int, int], visible: bool, made: Callable[[
         PrtnetError: no window can be opened; see :func:`open_window`.
     """
     window = open_window(title, size, visible)
-    keep_little()
     try:
         return made(window)
     except BaseException:

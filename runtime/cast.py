@@ -44,7 +44,7 @@ class Cast:
     latents: tuple[Callable[[FloatArray], FloatArray], GPUTables] | None = None
     model_bytes: int | None = None
     occluders: Callable[[FloatArray], FloatArray] | None = None
-    _cameras: dict[str, Camera] = field(default_factory=dict)
+    _cameras: dict[str, Camera] = field(default_factory=dict, init=False)
 
     @functools.cached_property
     def room(self) -> float:

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from types import TracebackType
 from typing import Any, Self
-from weakref import WeakKeyDictionary
 
 import moderngl
 
 __all__ = ["GPUTimer"]
-
-
-SPARE: WeakKeyDictionary[moderngl.Context, list[list[Any]]] = WeakKeyDictionary()
-"""Queries of timers that were given back: moderngl cannot delete any while their context lasts."""
 
 
 class GPUTimer:
@@ -26,7 +21,8 @@ class GPUTimer:
     """
 
     def __init__(self, context: moderngl.Context) -> None:
-        self._spare = SPARE.setdefault(context, [])
+        # Those of timers that were given back: moderngl cannot delete any while a context lasts.
+        self._spare: list[list[Any]] = vars(context).setdefault("_spare_queries", [])
         try:
             new = [] if self._spare else [context.query(time=True) for _ in range(2)]
         except Exception:  # whatever a driver without them says

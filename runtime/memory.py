@@ -14,7 +14,7 @@ __all__ = ["gpu_bytes", "hand_back", "keep_little", "own_bytes", "resident_bytes
 
 DEPTH_BYTES = 4  # a sample; drivers round 24 bits up
 TRIM_THRESHOLD, MMAP_THRESHOLD, ARENA_MAX = -1, -3, -8  # of mallopt, in malloc.h
-KEPT = 1 << 20  # bytes that are free, of each thread
+KEPT = 1 << 20  # bytes that are free
 MAPPED = 4 << 20  # bytes from which an array goes back at once: what is larger leaves larger holes
 
 
@@ -55,7 +55,7 @@ def status_bytes(name: str) -> int | None:
 
 
 def keep_little() -> None:
-    """Have glibc keep little of what threads free, from now on.
+    """Have glibc keep little of what threads free, from now on; early, before there are many.
 
     By itself it comes to keep up to 64 MB for every thread that ever made something large, which
     ``malloc_trim`` does not hand back: a window that is open for long, and traces and makes things

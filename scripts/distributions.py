@@ -92,7 +92,10 @@ def try_out(wheel: Path, sdist: Path, folder: Path) -> None:
     run(sys.executable, "-m", "venv", scripts.parent)
     pip = scripts / "python", "-m", "pip", "--disable-pip-version-check", "--no-input"
     constraints = REPOSITORY / "constraints.txt"
-    for archive, again in ((wheel, ()), (sdist, ("--no-deps", "--force-reinstall"))):
+    anew = "--no-deps", "--force-reinstall", "--no-build-isolation"
+    for archive, again in ((wheel, ()), (sdist, anew)):
+        if archive is sdist:  # what builds it is pinned as well
+            run(*pip, "install", "-qq", "--no-compile", "-c", constraints, "hatchling")
         out = f"demo-{archive.suffix[1:]}"
         run(*pip, "install", "-qq", "--no-compile", "-c", constraints, *again, archive)
         run(*pip, "check")

@@ -221,11 +221,11 @@ def test_threads_that_trace_last(scene: SkinnedScene, monkeypatch: pytest.Monkey
     """Embree keeps a kilobyte for each that ever traced: a window would take more and more."""
     receivers, field = fielded(scene)
     pose = scene.rest_pose()
-    seen: set[int] = set()
+    seen: set[threading.Thread] = set()  # whose numbers are used again
     occluded = Tracer.occluded
 
     def noted(tracer: Tracer, *rays: Any) -> Any:
-        seen.add(threading.get_ident())
+        seen.add(threading.current_thread())
         return occluded(tracer, *rays)
 
     monkeypatch.setattr(Tracer, "occluded", noted)
@@ -233,4 +233,4 @@ def test_threads_that_trace_last(scene: SkinnedScene, monkeypatch: pytest.Monkey
         trace_radiance(scene, receivers, field, pose, EYE, SKY, Lambert(0.5), 64, threads=2)
         trace_pose(scene, receivers, field, pose, 3, 64, threads=2)
     assert 1 <= len(seen) <= 2
-    assert threading.get_ident() not in seen
+    assert threading.current_thread() not in seen

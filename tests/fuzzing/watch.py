@@ -26,7 +26,8 @@ FORBIDDEN = (
     "pickle.find_class",
 )  # fmt: skip
 CHANGES = ("os.remove", "os.rmdir", "os.rename", "os.mkdir", "os.truncate", "os.symlink", "os.link",
-           "os.chmod", "shutil.copyfile")  # fmt: skip
+           "os.chmod", "os.chown", "os.utime", "shutil.copyfile")  # fmt: skip
+FOLLOWED = ("open", "os.truncate", "os.chmod", "os.chown", "os.utime")  # to where a link leads
 MODULES = (".py", ".pyc", ".so")  # that are imported late
 WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 LONGEST = 2000  # characters of a line that somebody reads
@@ -49,30 +50,35 @@ class Watch:
         """Note what is out of bounds while a folder is watched."""
         if self.folder is None:
             return
-        if event in FORBIDDEN or (
-            event in CHANGES and not self.may_change(arguments[event == "os.symlink" :])
-        ):
+        if event in FORBIDDEN or (event in CHANGES and not self.may_change(event, arguments)):
             self.breaches.append(f"{event} {arguments!r:.200}")
         elif event == "open" and isinstance(arguments[0], (str, bytes)):
             name, flags = os.fsdecode(arguments[0]), arguments[2]
             if "\0" in name or name == os.devnull or name.endswith(MODULES):
                 return
             self.opened.append(name)
-            roots = (self.folder, sys.prefix, sys.base_prefix)
-            deleted = self.writable and "/" not in name  # a folder, of one that was opened
-            inside = deleted or os.path.realpath(name).startswith(roots)
-            if not inside or (flags & WRITES and not self.may_change((name,))):
+            roots = tuple(f"{root}/" for root in (self.folder, sys.prefix, sys.base_prefix))
+            # A folder that is deleted, of one that was opened.
+            deleted = self.writable and "/" not in name and not flags & WRITES
+            inside = deleted or f"{os.path.realpath(name)}/".startswith(roots)
+            if not inside or (flags & WRITES and not self.may_change("open", (name,))):
                 self.breaches.append(f"open {name[:200]}")
 
-    def may_change(self, arguments: tuple[Any, ...]) -> bool:
+    def may_change(self, event: str, arguments: tuple[Any, ...]) -> bool:
         """Whether the files that an event names may change: those in the folder, of a writer.
 
-        A name alone is of a folder that was opened, which was looked at then. What a link leads to
-        does not change with the link.
+        Trees are deleted by names relative to a folder that was opened, which was looked at then.
         """
-        names = [os.fsdecode(one) for one in arguments if isinstance(one, (str, bytes))]
-        places = [os.path.realpath(os.path.dirname(name)) for name in names if "/" in name]
-        return self.writable and all(f"{place}/".startswith(f"{self.folder}/") for place in places)
+        if not self.writable:
+            return False
+        names = [one for one in arguments if isinstance(one, (str, bytes, os.PathLike))]
+        names = [os.fsdecode(one) for one in names[event == "os.symlink" :]]
+        if event in ("os.remove", "os.rmdir") and arguments[-1] != -1:
+            return "/" not in names[0]
+        if event not in FOLLOWED:  # a link itself, or a new name
+            names = [os.path.dirname(name) for name in names]
+        places = [os.path.realpath(name) for name in names]
+        return all(f"{place}/".startswith(f"{self.folder}/") for place in places)
 
 
 WATCH = Watch()

@@ -77,6 +77,14 @@ def test_what_a_repair_leaves_half_done_is_no_loss(bench: Bench) -> None:
     before = contents(out)
     assert not bench.is_whole(job, out)
     assert bench.lost_of(job, killed, before) == ""
-    (out / job.damaged[0]).write_bytes(b"half")
+    assert bench.run(bench.argv(job, out)).status == 0
+    mended = (out / job.damaged[0]).read_bytes()
+    clear(bench.work)
+    assert "gone" in bench.lost_of(job, killed, before)
+    shutil.copytree(bench.older(job) / job.out, out)
+    (out / job.damaged[0]).write_bytes(mended)
+    assert contents(out) != before
+    assert bench.lost_of(job, killed, before) == ""
+    (out / job.damaged[1]).write_bytes(b"half")
     assert "not whole" in bench.lost_of(job, killed, before)
     clear(bench.work)

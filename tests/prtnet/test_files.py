@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import platform
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from prtnet.errors import PrtnetError
-from prtnet.files import file_sha256, finish, writing
+from prtnet.files import file_sha256, finish, on_disk, writing
 
 
 def write(final: Path, text: str, error: BaseException | None = None) -> None:
@@ -130,3 +131,43 @@ def test_finish_replaces_a_file_by_a_folder(tmp_path: Path) -> None:
     finish(partial, final)
     assert final.is_dir()
     assert not partial.exists()
+
+
+@pytest.mark.parametrize("folder", [False, True])
+def test_what_is_renamed_is_on_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: bool
+) -> None:
+    """A loss of power leaves nothing empty under a final name."""
+    done: list[Path | str] = []
+    monkeypatch.setattr("prtnet.files.on_disk", done.append)
+    replace = os.replace
+    monkeypatch.setattr(os, "replace", lambda a, b: (done.append("renamed"), replace(a, b)))
+    with writing(tmp_path / "out") as partial:
+        if folder:
+            partial.mkdir()
+            (partial / "a").write_text("1")
+        else:
+            partial.write_text("1")
+    inside = [partial / "a"] if folder else []
+    assert done == [partial, *inside, "renamed", tmp_path]
+
+
+def test_files_and_folders_are_synced_where_that_is_possible(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[int] = []
+    monkeypatch.setattr(os, "fsync", done.append)
+    (tmp_path / "a").write_text("1")
+    (tmp_path / "link").symlink_to("nowhere")
+    for name in ("a", "link", "."):
+        on_disk(tmp_path / name)
+    assert len(done) == 2
+
+    def fails(number: int) -> None:
+        raise OSError(number, "")
+
+    monkeypatch.setattr(os, "fsync", lambda _: fails(errno.EINVAL))
+    on_disk(tmp_path)
+    monkeypatch.setattr(os, "fsync", lambda _: fails(errno.EIO))
+    with pytest.raises(OSError, match="Errno 5"):
+        on_disk(tmp_path)
