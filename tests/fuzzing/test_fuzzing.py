@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import json
 import os
+import shutil
 import socket
 import time
 import traceback
@@ -129,6 +130,32 @@ def test_writers_change_their_folder_alone(place: Place, name: str) -> None:
     assert outcome(use, path, writes=True) == "read"
     with pytest.raises(BreachError, match="rename"):
         outcome(steal, path, writes=True)
+
+
+def stray(_: Path) -> None:
+    Path("stray").write_bytes(b"")
+
+
+def stray_folder(_: Path) -> None:
+    os.mkdir("stray")
+
+
+def cut(path: Path) -> None:
+    os.truncate(path.parent / "link", 0)
+
+
+def copied(path: Path) -> None:
+    shutil.copyfile(path, path.parent.parent / "outside.bin")
+
+
+@pytest.mark.parametrize("misuse", [stray, stray_folder, cut, copied])
+def test_what_no_writer_may_do(
+    place: Place, misuse: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = place.hold({"a": b"x", "link": Link("../outside.bin")})
+    with pytest.raises(BreachError):
+        outcome(misuse, path, writes=True)  # type: ignore[arg-type]
 
 
 def test_memory_is_bounded() -> None:
