@@ -18,6 +18,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import itertools
+import logging
 import multiprocessing
 import os
 import random
@@ -353,7 +354,8 @@ def started_cluster() -> Any:
     """Two workers of one thread."""
     from distributed import LocalCluster
 
-    return LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+    quiet = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
+    return LocalCluster(n_workers=2, threads_per_worker=1, **quiet)
 
 
 def kill_worker(cluster: Any) -> None:
