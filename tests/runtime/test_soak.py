@@ -96,8 +96,11 @@ def test_late_frames_are_ours_if_the_process_was_busy():
     assert found.late() == (Counter({"": 1, "light": 1}), 2)
     found.wall[1, 2] = 1.0
     assert found.late() == (Counter({"light": 1}), 3)
-    found.memory = [100, 101, 99]
-    assert found.spread() == pytest.approx(0.02)
+    found.memory = [100, 102, 99]
+    assert found.spread() == pytest.approx(0.03)
+    assert found.strayed() == pytest.approx(0.02)
+    found.memory.append(96)
+    assert found.strayed() == pytest.approx(0.04)
 
 
 def test_frames_are_late_beside_others_of_their_character():
