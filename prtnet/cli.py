@@ -189,15 +189,14 @@ def train(argv: Sequence[str]) -> None:
     check_cluster(options.cluster, config, budget, session.console.message)
     check_output(options.out, input_file(options.dataset, folder=True))
 
-    import torch
-
     from prtnet.cli_train import fitting, summary
     from prtnet.console import StageMonitor, in_per_cent
+    from prtnet.cores import use_threads
     from prtnet.dataset import Dataset
     from prtnet.exchange import elsewhere
     from training.train import PACKAGES
 
-    torch.set_num_threads(threads(options.threads))
+    use_threads(threads(options.threads))
     place = elsewhere(options.cluster, options.out, PACKAGES, options.dataset)
     with session.console.progress() as report, place:
         monitor = StageMonitor(report)
@@ -381,12 +380,14 @@ def bake(argv: Sequence[str]) -> None:
     """Simulate local transfer of a mesh, a height field or a parametric model."""
     from prtnet.cli_arguments import check_output, named_options
     from prtnet.cli_bake import PACKAGES, BakeOptions, baked, check_options, warnings_of
+    from prtnet.cores import use_threads
     from prtnet.exchange import elsewhere
 
     options, session = arguments("bake", argv, BakeOptions)
     check_options(options, named_options(argv))
     check_output(options.out, *options.inputs())
     place = elsewhere(options.cluster, options.out, PACKAGES)
+    use_threads(1)  # factors and fits of a point are small, and the same whatever --threads
     with session.console.progress() as progress, place:
         field = baked(options, threads(options.threads), progress)
         field.save(options.out)

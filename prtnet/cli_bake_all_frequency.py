@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
+from prtnet.cores import use_threads
 from prtnet.errors import PrtnetError
 from prtnet.limits import MOST_FACTORS, MOST_THREADS, check_within
 from prtnet.provenance import made_with
@@ -94,8 +95,6 @@ def baked_fields(
     Raises:
         PrtnetError: the mesh or the material is none, or cannot be read; a matte one is given rows.
     """
-    import torch
-
     from data_gen.all_frequency import ground
     from data_gen.coarse_mesh import coarser
     from data_gen.static_mesh import read_mesh
@@ -104,7 +103,7 @@ def baked_fields(
     from prtnet.materials import brdf_named
     from prtnet.transfer import Surface
 
-    torch.set_num_threads(threads)
+    use_threads(threads)
     brdf = brdf_named(options.brdf)
     if options.rows is not None and isinstance(brdf, Lambert):
         raise PrtnetError("--rows", "does nothing for a matte material; leave it out")

@@ -18,6 +18,7 @@ from tyro.conf import Positional
 from prtnet.all_frequency_file import facts, load_fields
 from prtnet.cli_arguments import refuse
 from prtnet.cli_options import CAMERA_BOUNDS, NO_MOVIE, check_bounds, check_pictures
+from prtnet.cores import use_threads
 from prtnet.cube_map import segment_coefficients
 from prtnet.environment import about_up, environment
 from prtnet.errors import PrtnetError
@@ -92,14 +93,12 @@ def make_all_frequency_pictures(
     Raises:
         PrtnetError: the file is none, there is no such light, or a picture cannot be written.
     """
-    import torch
-
     from runtime.all_frequency_shot import framing, opened
     from runtime.draw import averaged, finer, usable
     from runtime.picture import auto_exposure, develop
     from runtime.reel import opened_reel, reel, saved_frames
 
-    torch.set_num_threads(threads)
+    use_threads(threads)
     fields = shown(options)
     source = environment(options.light)
     aspect = options.size[0] / options.size[1]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from prtnet.cores import use_threads
 from prtnet.errors import PrtnetError
 
 if TYPE_CHECKING:
@@ -40,8 +41,6 @@ def make_report(
     Raises:
         PrtnetError: the dataset has no poses to judge by, or the page cannot be written.
     """
-    import torch
-
     from prtnet.dataset import Dataset
     from prtnet.files import writing
     from prtnet.light import load_light
@@ -49,7 +48,7 @@ def make_report(
     from runtime.report_page import page
     from training.sweep import SEARCHED, candidates, fitted, searched
 
-    torch.set_num_threads(threads)
+    use_threads(threads)
     dataset = Dataset.open(options.dataset)
     facts = dataset_facts(dataset)
     if facts["judged_poses"] == 0:

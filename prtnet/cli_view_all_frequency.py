@@ -15,6 +15,7 @@ from tyro.conf import Positional
 
 from prtnet.all_frequency_file import load_fields
 from prtnet.cli_arguments import pictures_folder
+from prtnet.cores import use_threads
 from prtnet.environment import environment
 from prtnet.limits import MOST_PIXELS, MOST_THREADS, check_side, check_within
 from prtnet.presets import PRESETS
@@ -54,14 +55,12 @@ def opened_all_frequency_viewer(
     Raises:
         PrtnetError: the file is none, there is no such light, or no window can be opened.
     """
-    import torch
-
     from runtime.all_frequency_sight import AllFrequencySight, AllFrequencyView
     from runtime.all_frequency_viewer import AllFrequencyDesk, AllFrequencyViewer
     from runtime.base_viewer import in_window
     from runtime.memory import keep_little
 
-    torch.set_num_threads(threads)
+    use_threads(threads)
     keep_little()
     environments = functools.cache(environment)
     environments(options.light)

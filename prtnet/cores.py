@@ -6,7 +6,7 @@ import functools
 import os
 from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["core_count", "lasting_threads"]
+__all__ = ["core_count", "lasting_threads", "use_threads"]
 
 
 def core_count() -> int:
@@ -14,6 +14,20 @@ def core_count() -> int:
     if hasattr(os, "sched_getaffinity"):  # not on macOS and Windows
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def use_threads(count: int) -> None:
+    """Have torch, NumPy and SciPy compute by so many threads from now on.
+
+    How many add up a product decides its last bits: it must be the number that was asked for, and
+    that a file says it was made with, rather than the machine's.
+    """
+    import scipy.linalg  # noqa: F401 - brings a BLAS of its own
+    import torch
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+    torch.set_num_threads(count)
+    threadpool_limits(count, user_api="blas")
 
 
 @functools.cache

@@ -54,6 +54,8 @@ def everything(scene: Path, folder: Path, threads: int = 1) -> Path:
     command("export {1}/arm.safetensors --out {1}/export", *files)
     command("render {1}/arm.safetensors {0} --out {1}/arm.png --size 64x64 --renderer cpu "
             + count, *files)  # fmt: skip
+    command("train {1}/arm.zarr --out {1}/best.safetensors --preset best --iterations 20 "
+            + count, *files)  # fmt: skip
     command("bake bumps --out {1}/bumps.safetensors --size 8x8 --rays 32 --lobes 1 " + count,
             *files)  # fmt: skip
     command("bake-all-frequency {0} --out {1}/light.safetensors --texels 8 --terms 3 --rows 2 "
@@ -62,13 +64,15 @@ def everything(scene: Path, folder: Path, threads: int = 1) -> Path:
 
 
 def elsewhere(scene: Path, folder: Path, seed: int) -> Path:
-    """Everything by another process, whose sets and dictionaries of text have another order."""
+    """Everything by another process, whose sets have another order and BLAS by itself another
+    number of threads.
+    """
     words = f"from {__name__} import Path, everything; everything(Path({str(scene)!r}), "
     command = [sys.executable, "-c", f"{words}Path({str(folder)!r}))"]
     environment = os.environ | {
-        "PYTHONHASHSEED": str(seed),
-        "PYTHONPATH": os.pathsep.join(sys.path),
-    }
+        "PYTHONHASHSEED": str(seed), "PYTHONPATH": os.pathsep.join(sys.path),
+        "OPENBLAS_NUM_THREADS": "3", "MKL_NUM_THREADS": "3",
+    }  # fmt: skip
     subprocess.run(command, env=environment, check=True)
     return folder
 
