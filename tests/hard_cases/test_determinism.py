@@ -14,16 +14,16 @@ import torch
 
 from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm
+from prtnet.all_frequency import AllFrequencyField
 from prtnet.all_frequency_file import load_fields
 from prtnet.arrays import FloatArray
 from prtnet.cli import run
 from prtnet.dataset import Dataset
 from prtnet.model import VisibilityModel
 from runtime.all_frequency import shaded
-from tests.hard_cases.measured import close
+from tests.hard_cases.measured import below, close
 
 ROUNDING = 2e-3  # of visibility, whose largest coefficient is √4π; docs/conventions.md
-OF_WHITE = 0.02  # of an all-frequency field's radiance; likewise
 
 
 @pytest.fixture(autouse=True)
@@ -54,8 +54,6 @@ def everything(scene: Path, folder: Path, threads: int = 1) -> Path:
     command("export {1}/arm.safetensors --out {1}/export", *files)
     command("render {1}/arm.safetensors {0} --out {1}/arm.png --size 64x64 --renderer cpu "
             + count, *files)  # fmt: skip
-    command("train {1}/arm.zarr --out {1}/best.safetensors --preset best --iterations 20 "
-            + count, *files)  # fmt: skip
     command("bake bumps --out {1}/bumps.safetensors --size 8x8 --rays 32 --lobes 1 " + count,
             *files)  # fmt: skip
     command("bake-all-frequency {0} --out {1}/light.safetensors --texels 8 --terms 3 --rows 2 "
@@ -77,9 +75,8 @@ def elsewhere(scene: Path, folder: Path, seed: int) -> Path:
     return folder
 
 
-def radiance(path: Path) -> FloatArray:
-    """Of an all-frequency field in made-up light."""
-    (field,) = load_fields(path)
+def radiance(field: AllFrequencyField) -> FloatArray:
+    """In made-up light."""
     light = np.random.default_rng(0).uniform(size=(6, field.size, field.size, 3))
     return shaded(field, light.astype(np.float32), np.array([0.0, 1.0, 3.0]))
 
@@ -104,5 +101,10 @@ def test_the_same_commands_write_the_same_bytes(scene: Path, tmp_path: Path) -> 
     assert [model.metadata["made_with"]["threads"] for model in models] == [1, 2]
     a, b = (model(poses) for model in models)
     close(a, b, atol=ROUNDING)
-    bright, other_bright = (radiance(at / "light.safetensors") for at in (one, more))
-    close(bright, other_bright, atol=OF_WHITE * float(bright.max()))
+
+    # Other threads, other clusters: fields differ by what they leave out, and leave out as much.
+    fields = [load_fields(at / "light.safetensors")[0] for at in (one, more)]
+    lost, other_lost = (field.metadata["squared_error"]["stored"] ** 0.5 for field in fields)
+    close(other_lost, lost, rtol=0.2)
+    bright, other_bright = (radiance(field) for field in fields)
+    below(np.linalg.norm(other_bright - bright), 2.0 * lost * np.linalg.norm(bright))
