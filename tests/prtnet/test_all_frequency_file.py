@@ -126,6 +126,10 @@ def halve(name: str) -> Change:
         (halve("0.5.counts"), "segment 5: counts do not fit the blocks"),
         (halve("0.5.starts"), "segment 5: starts"),
         (lambda f: f.arrays["0.5.vertices"].fill(7), "segment 5: vertices come twice"),
+        (
+            lambda f: f.arrays.update({"0.5.vertices": f.arrays["0.5.vertices"][:, None]}),
+            "segment 5: vertices have shape",
+        ),
         (lambda f: f.arrays["0.5.rows"].fill(3), "segment 5: rows of a column do not ascend"),
         (lambda f: f.arrays["0.5.rows"].__iadd__(100), "segment 5"),
         (lambda f: f.arrays["0.5.scale"].fill(np.nan), "segment 5: scale"),
