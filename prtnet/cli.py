@@ -380,14 +380,12 @@ def bake(argv: Sequence[str]) -> None:
     """Simulate local transfer of a mesh, a height field or a parametric model."""
     from prtnet.cli_arguments import check_output, named_options
     from prtnet.cli_bake import PACKAGES, BakeOptions, baked, check_options, warnings_of
-    from prtnet.cores import use_threads
     from prtnet.exchange import elsewhere
 
     options, session = arguments("bake", argv, BakeOptions)
     check_options(options, named_options(argv))
     check_output(options.out, *options.inputs())
     place = elsewhere(options.cluster, options.out, PACKAGES)
-    use_threads(1)  # factors and fits of a point are small, and the same whatever --threads
     with session.console.progress() as progress, place:
         field = baked(options, threads(options.threads), progress)
         field.save(options.out)
