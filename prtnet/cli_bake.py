@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
-from prtnet.cores import use_threads
+from prtnet.cores import use_blas_threads
 from prtnet.errors import PrtnetError, nearest_name
 from prtnet.limits import (
     MOST_BOUNCES,
@@ -175,7 +175,7 @@ def baked(options: BakeOptions, threads: int, report: Report) -> TransferField |
     from prtnet.lobe_fit import lobe_field
     from prtnet.transfer import TransferField
 
-    use_threads(1)  # factors and fits of a point are small, and the same whatever --threads
+    use_blas_threads(1)  # factors and fits of a point are small, and the same whatever --threads
     if source_of(options) != "field":
         field = simulated(options, threads, report)
     elif options.lobes is None:

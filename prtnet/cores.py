@@ -6,7 +6,7 @@ import functools
 import os
 from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["core_count", "lasting_threads", "use_threads"]
+__all__ = ["core_count", "lasting_threads", "use_blas_threads", "use_threads"]
 
 
 def core_count() -> int:
@@ -22,11 +22,17 @@ def use_threads(count: int) -> None:
     How many add up a product decides its last bits: it must be the number that was asked for, and
     that a file says it was made with, rather than the machine's.
     """
-    import scipy.linalg  # noqa: F401 - brings a BLAS of its own
     import torch
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     torch.set_num_threads(count)
+    use_blas_threads(count)
+
+
+def use_blas_threads(count: int) -> None:
+    """The same of NumPy and SciPy alone."""
+    import scipy.linalg  # noqa: F401 - brings a BLAS of its own
+    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
     threadpool_limits(count, user_api="blas")
 
 

@@ -23,7 +23,7 @@ from prtnet.dataset import (
     header_sums,
 )
 from prtnet.dataset_checks import check_folder, odd_header
-from prtnet.dataset_writer import DatasetWriter, create, writable
+from prtnet.dataset_writer import DatasetWriter, create, make_room, writable
 from prtnet.errors import PrtnetError
 from prtnet.places import damage, is_remote, place, put, remove_place, sizes, store, there
 
@@ -113,8 +113,7 @@ class DatasetRepair(DatasetWriter):
             file, own = sound / name, self.path / name
             if not self._same(own, file):
                 own.parent.mkdir(parents=True, exist_ok=True)
-                if not is_remote(own) and own.is_dir():
-                    remove_place(own)
+                make_room(own)
                 put(file, own)
                 self.mended.append(name)
 
@@ -134,7 +133,7 @@ class DatasetRepair(DatasetWriter):
         """Write the damaged arrays of a block again."""
         with self._disk():
             for name in self.bad[block]:
-                self._make_room(name, block)
+                make_room(self._file(name, block))
                 writable(self._group, name)[self.span(block)] = getattr(values, name)
                 self.mended.append(f"block {block} of {name}")
 

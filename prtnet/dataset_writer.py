@@ -133,7 +133,7 @@ class DatasetWriter:
             if lost := [name for name in POSE_ARRAYS if not self._whole(name, number)]:
                 self._marker(number).unlink(missing_ok=True)  # an equal run may have, too
                 for name in lost:
-                    self._make_room(name, number)
+                    make_room(self._file(name, number))
 
     def _whole(self, name: str, number: int) -> bool:
         """Whether a block of an array is there and has its checksum."""
@@ -145,12 +145,6 @@ class DatasetWriter:
     def _file(self, name: str, number: int) -> Path:
         """Where a block of an array is."""
         return self._folder / name / chunk_key(array_of(self._group, name), number)
-
-    def _make_room(self, name: str, number: int) -> None:
-        """Delete a folder where the file of a block is to be; stores have none."""
-        file = self._file(name, number)
-        if not is_remote(file) and file.is_dir():
-            remove_place(file)
 
     def _left(self) -> list[Path]:
         """What runs of any options left that were stopped."""
@@ -302,6 +296,12 @@ def ground_sum(folder: Path, fixed: Mapping[str, Any]) -> str:
         data = (folder / name).read_bytes()
         digest.update(f"{name} {len(data)} ".encode() + data)
     return digest.hexdigest()
+
+
+def make_room(file: Path) -> None:
+    """Delete a folder where a file is to be; stores have none."""
+    if not is_remote(file) and file.is_dir():
+        remove_place(file)
 
 
 def writable(group: zarr.Group, name: str) -> zarr.Array[Any]:

@@ -14,8 +14,7 @@ from importlib.metadata import PackageNotFoundError
 from itertools import islice
 from typing import Any, Protocol
 
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
-
+from prtnet.cores import use_blas_threads
 from prtnet.errors import PrtnetError
 from prtnet.provenance import made_with
 
@@ -100,17 +99,9 @@ class Serial(Executor):
 def on_worker(task: Task, number: int, made: tuple[tuple[str, str], ...]) -> int:
     """What a worker of a cluster runs, if it has these versions."""
     require_same(made)
-    quiet_blas()
+    use_blas_threads(1)  # a worker's threads are its tasks
     task(number, Serial())
     return number
-
-
-def quiet_blas() -> None:
-    """Leave the cores to tasks, for good: a worker's threads are its tasks.
-
-    Before every task: the last may have loaded another BLAS.
-    """
-    threadpool_limits(1, user_api="blas")
 
 
 @functools.cache

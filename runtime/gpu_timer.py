@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from types import TracebackType
 from typing import Any, Self
 
@@ -23,11 +24,10 @@ class GPUTimer:
     def __init__(self, context: moderngl.Context) -> None:
         # Those of timers that were given back: moderngl cannot delete any while a context lasts.
         self._spare: list[list[Any]] = vars(context).setdefault("_spare_queries", [])
-        try:
-            new = [] if self._spare else [context.query(time=True) for _ in range(2)]
-        except Exception:  # whatever a driver without them says
-            new = []
-        self._queries: list[Any] = self._spare.pop() if self._spare else new
+        if not self._spare:
+            with contextlib.suppress(Exception):  # whatever a driver without them says
+                self._spare.append([context.query(time=True) for _ in range(2)])
+        self._queries: list[Any] = self._spare.pop() if self._spare else []
         self._drawn = 0
         self.milliseconds: float | None = None
 
