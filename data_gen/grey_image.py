@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import warnings
 from pathlib import Path
 
@@ -57,6 +59,19 @@ def read_grey(path: str | Path, texels: tuple[int, int] | None = None) -> FloatA
     return grey
 
 
+class Bounded(io.BufferedReader):
+    """A file's bytes; however many are asked for, no more room is made than there are."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._end = os.fstat(self.fileno()).st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """The next bytes, all of them for a negative size."""
+        left = max(self._end - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
+
+
 def decoded(path: Path) -> FloatArray:
     """Grey values (H, W) of a picture that Pillow reads, bottom row first."""
     try:
@@ -64,7 +79,7 @@ def decoded(path: Path) -> FloatArray:
             raise PrtnetError(path, "is larger than any picture here; resample it first")
         with warnings.catch_warnings(), hushed():  # libtiff prints lines of its own
             warnings.simplefilter("error")
-            with Image.open(path, formats=FORMATS) as picture:
+            with Bounded(path) as file, Image.open(file, formats=FORMATS) as picture:
                 if picture.width * picture.height > LARGEST:
                     raise PrtnetError(path, "has too many pixels; resample it first")
                 return grey_of(picture)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -92,3 +93,18 @@ def test_too_many_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert "too many pixels" in complaint(path)
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)
     assert "too many pixels" in complaint(path)
+
+
+def test_a_part_that_claims_gigabytes_takes_no_room(tmp_path: Path) -> None:
+    """What is there of it is read: it holds the whole picture."""
+    path = tmp_path / "a.png"
+    Image.fromarray(np.full((6, 8), 51, dtype=np.uint8)).save(path)
+    bytes_ = path.read_bytes()
+    at = bytes_.index(b"IDAT") - 4
+    path.write_bytes(bytes_[:at] + (2**31 + 5).to_bytes(4, "big") + bytes_[at + 4 :])
+    tracemalloc.start()
+    try:
+        np.testing.assert_allclose(read_grey(path), np.full((6, 8), 0.2))
+        assert tracemalloc.get_traced_memory()[1] < 2**24
+    finally:
+        tracemalloc.stop()
