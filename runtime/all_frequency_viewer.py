@@ -12,7 +12,7 @@ from typing import ClassVar
 from prtnet.all_frequency import AllFrequencyField
 from runtime.all_frequency_sight import MODES, AllFrequencySight, AllFrequencyView
 from runtime.base_panel import BasePanel
-from runtime.base_viewer import CAMERA_KEYS, COMMON_KEYS, LIGHTS, BaseDesk, BaseViewer
+from runtime.base_viewer import CAMERA_KEYS, COMMON_KEYS, LIGHTS, BaseDesk, BaseViewer, Steps
 
 __all__ = ["AllFrequencyDesk", "AllFrequencyViewer"]
 
@@ -76,12 +76,12 @@ class AllFrequencyViewer(BaseViewer[AllFrequencySight, AllFrequencyView, AllFreq
         """Show another object, as this one is shown, if it can be."""
         path = found["field"]
 
-        def take(fields: Sequence[AllFrequencyField]) -> str:
-            view = dataclasses.replace(self.view, pan=(0.0, 0.0))
-            self.window.use()
-            size = path.stat().st_size
-            show = AllFrequencySight(self.window.ctx, fields, self.show.environments, size)
-            self.replace(show, view)
+        def take(fields: Sequence[AllFrequencyField]) -> Steps[str]:
+            context, lights, size = self.window.ctx, self.show.environments, path.stat().st_size
+            yield from self.replace(
+                lambda: AllFrequencySight(context, fields, lights, size),
+                lambda: dataclasses.replace(self.view, pan=(0.0, 0.0)),
+            )
             return path.name
 
         self.open(path.name, partial(self.desk.open_file, path), take)

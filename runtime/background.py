@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Generic, TypeVar
@@ -10,7 +13,17 @@ __all__ = ["Background"]
 
 T = TypeVar("T")
 
-WORKERS = ThreadPoolExecutor(8, "background")  # more than a viewer makes things at once
+NICE = 10  # of 19
+
+
+def step_back() -> None:
+    """Let this thread, and those that it begins, have what the frames leave of the processors."""
+    if sys.platform.startswith("linux"):  # elsewhere threads have no priority of this kind
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+
+
+# More threads than a viewer makes things at once.
+WORKERS = ThreadPoolExecutor(8, "background", step_back)
 
 
 class Background(Generic[T]):

@@ -10,7 +10,7 @@ import contextlib
 import dataclasses
 import time as clock
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
@@ -32,11 +32,14 @@ __all__ = [
     "PLAY_KEYS",
     "BaseDesk",
     "BaseViewer",
+    "Steps",
     "in_window",
     "open_window",
 ]
 
 T = TypeVar("T")
+Steps = Generator[None, None, T]
+"""Work that is done in as many frames, and what comes of it."""
 S = TypeVar("S", bound=Sight[Any])
 V = TypeVar("V", bound=Outlook)
 D = TypeVar("D", bound="BaseDesk")
@@ -135,6 +138,9 @@ class BaseViewer(ABC, Generic[S, V, D]):
         modes: what the keys 1, 2, … show.
         help: keys, and what they do.
         opens: the name of the file that is being opened.
+        trial: what is shown has not been drawn yet; if it cannot be, what was there comes back.
+        leaving: what is still being made of what is shown no more; nobody waits for it until the
+            window is closed.
         kinds: of files that may fall on the window, by their suffix: one of ``CHANGED``, or what
             ``take_files`` takes.
     """
@@ -153,7 +159,9 @@ class BaseViewer(ABC, Generic[S, V, D]):
         self.saving: Iterator[str] | None = None
         self.opening: Background[Any] = Background()
         self.opens = ""
-        self.finish: Callable[[], None] | None = None  # to open what is being opened
+        self.trial = False
+        self.leaving: list[Background[Any]] = []
+        self.finish: Steps[None] | None = None  # to open what is being opened
         view.playing = True
         self.good = dataclasses.replace(view)
         self.message = ""
@@ -196,7 +204,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
         self.window.use()
         self.imgui.get_io().delta_time = max(elapsed, 1e-4)
         if self.saving is None and min(self.window.buffer_size) and not self.opening.busy:
-            self.opened()
+            self.open_on()
         if self.saving is not None:
             self.save_on()
         elif self.view.playing:
@@ -222,11 +230,17 @@ class BaseViewer(ABC, Generic[S, V, D]):
             if self.saving is None:
                 self.drawn(size)
         except Exception as error:  # whatever background work ended in, too
+            if self.trial:
+                assert self.finish is not None
+                self.finish.throw(error)
+                self.picture()
+                return
             if vars(self.view) == vars(self.good):
                 raise
             self.complain(error)
             vars(self.view).update(vars(self.good))
             self.show.draw(self.view, size, target)
+        self.trial = False
         # What is still being made may fail yet, or has since it was asked for.
         if not self.show.waiting and not self.show.failing:
             self.good = dataclasses.replace(self.view)
@@ -252,22 +266,40 @@ class BaseViewer(ABC, Generic[S, V, D]):
             setattr(self.view, name, before)
             self.complain(error)
 
-    def replace(self, show: S, view: V) -> None:
-        """Show something else, if it can be drawn.
+    def replace(self, make: Callable[[], S], adapted: Callable[[], V]) -> Steps[None]:
+        """Show something else, if it can be drawn: made, drawn, and what was there given back.
+
+        Each in a frame of its own, since each may take longer than all that is in one otherwise.
+
+        Args:
+            make: what is to be shown.
+            adapted: the view, as it is then, of that.
 
         Raises:
             Exception: it cannot; what is there stays.
         """
+        show = make()
         try:
-            show.draw(view, self.window.buffer_size, self.window.fbo)
+            yield
         except BaseException:
             show.release()
             raise
         self.stop_saving()
-        self.show.release()
-        self.show = show
-        vars(self.view).update(vars(view))
-        self.good, self.first = dataclasses.replace(view), dataclasses.replace(view)
+        gone, view, good, first = self.show, dataclasses.replace(self.view), self.good, self.first
+        self.show, self.trial = show, True
+        vars(self.view).update(vars(adapted()))
+        self.good, self.first = dataclasses.replace(self.view), dataclasses.replace(self.view)
+        try:
+            yield
+        except Exception:  # of drawing it
+            gone, self.show = show, gone
+            vars(self.view).update(vars(view))
+            self.good, self.first = good, first
+            raise
+        finally:
+            self.trial = False
+            tasks = *self.leaving, *gone.leave()
+            self.leaving = [task for task in tasks if task.busy]
 
     def key(self, key: Any, action: Any, modifiers: Any) -> None:
         """A key went down or up."""
@@ -358,7 +390,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
         self,
         name: str,
         make: Callable[[], T],
-        take: Callable[[T], str],
+        take: Callable[[T], Steps[str]],
         fail: Callable[[Exception], None] | None = None,
     ) -> None:
         """Open a file beside the frames; what is there is shown until then.
@@ -366,31 +398,43 @@ class BaseViewer(ABC, Generic[S, V, D]):
         Args:
             name: of the file.
             make: what is to be shown of it.
-            take: shows that, between two frames, and says what is shown.
+            take: shows that, a step between two frames each, and says what is shown.
             fail: is told why it cannot be shown; tells it in the panel if it is not given.
         """
         self.opened()
         self.opens = name
         self.opening.begin(make, make)
 
-        def finish() -> None:
+        def finish() -> Steps[None]:
+            self.stop_saving()
             try:
                 made = self.opening.get(make, make, wait=True)
                 assert made is not None
-                self.message = take(made)
+                self.message = yield from take(made)
             except Exception as error:
                 (fail or self.complain)(error)
+            self.opens = ""
+            self.opening.release()  # it is held by who shows it
+            yield
+            hand_back()
 
-        self.finish = finish
+        self.finish = finish()
+
+    def open_on(self) -> None:
+        """One more step of showing what is being opened, if anything is."""
+        if self.finish is not None:
+            self.window.use()
+            try:
+                next(self.finish)
+            except StopIteration:
+                self.finish = None
 
     def opened(self) -> None:
         """Show what is being opened, if anything is; it is waited for."""
-        if self.finish is not None:
-            finish, self.finish, self.opens = self.finish, None, ""
-            self.stop_saving()
-            finish()
-            self.opening.release()  # it is held by who shows it
-            hand_back()
+        while self.finish is not None:
+            self.open_on()
+            if self.trial:
+                self.picture()
 
     def save(self, recorder: Callable[[Any], Iterator[str]]) -> None:
         """Begin to save something, a picture a step; ``runtime.recording`` has what there is."""
@@ -432,8 +476,11 @@ class BaseViewer(ABC, Generic[S, V, D]):
     def release(self) -> None:
         """Give everything back but the window, and the panel's library, which goes with it."""
         self.stop_saving()
-        self.finish = None
-        self.opening.release()
+        if self.finish is not None:
+            self.finish.close()
+            self.finish = None
+        for task in (self.opening, *self.leaving):
+            task.release()
         self.show.release()
 
     def close(self) -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from prtnet.modelled_scene import OtherMeshError
 
 if TYPE_CHECKING:
+    from runtime.base_viewer import Steps
     from runtime.cast import Cast
     from runtime.viewer import Viewer
 
@@ -36,8 +37,8 @@ def recast(viewer: Viewer, found: Mapping[str, Path]) -> None:
         cast.ready(clip)
         return cast
 
-    def take(cast: Cast) -> str:
-        viewer.take(cast)
+    def take(cast: Cast) -> Steps[str]:
+        yield from viewer.take(cast)
         desk.model, desk.scene = files["model"], files["scene"]
         viewer.waiting_files = {}
         return f"{desk.model.name} on {desk.scene.name}"

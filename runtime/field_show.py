@@ -64,12 +64,12 @@ class FieldShow(Sight[FieldView]):
         """What is fitted and traced."""
         return {"fitting lobes": self._fitting, "tracing the truth": self._tracing}
 
-    def release(self) -> None:
-        """Give everything back but the context; what is being made is waited for."""
+    def leave(self) -> list[Background[Any]]:
+        """Give everything back but the context, and tell what is being made, without waiting."""
         for _, stage, _ in self._stages.values():
             stage.release()
         self._stages = {}
-        super().release()
+        return super().leave()
 
     def parts(self) -> dict[str, int | None]:
         """Bytes of the field's file, and of what is on the GPU."""

@@ -9,7 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from runtime.base_viewer import CAMERA_KEYS, COMMON_KEYS, LIGHTS, PLAY_KEYS, BaseDesk, BaseViewer
+from runtime.base_viewer import (
+    CAMERA_KEYS,
+    COMMON_KEYS,
+    LIGHTS,
+    PLAY_KEYS,
+    BaseDesk,
+    BaseViewer,
+    Steps,
+)
 from runtime.field_cast import FieldCast
 from runtime.field_panel import FieldPanel
 from runtime.field_show import FieldShow
@@ -71,25 +79,29 @@ class FieldViewer(BaseViewer[FieldShow, FieldView, FieldDesk]):
             name: what of both is opened.
         """
 
-        def take(cast: FieldCast) -> str:
-            self.take(cast)
+        def take(cast: FieldCast) -> Steps[str]:
+            yield from self.take(cast)
             self.desk.field, self.desk.on = field, on
             return f"{field.name} on {Path(cast.worn.name).name}"
 
         self.open(name, partial(self.desk.open_files, field, on), take)
 
-    def take(self, cast: FieldCast) -> None:
+    def take(self, cast: FieldCast) -> Steps[None]:
         """Show another field, as this one is shown, if it can be.
 
         Raises:
             Exception: it cannot be drawn; this one stays.
         """
-        view = dataclasses.replace(self.view)
-        clip = cast.worn.clip(None)
-        view.clip, view.time = ("", 0.0) if clip is None else (clip.name, clip.start)
-        view.pan = (0.0, 0.0)
-        view.left, view.right = "lobes", "harmonics"
-        if cast.transfer is None:
-            view.right, view.split = "lobes", 1.0
-        self.window.use()
-        self.replace(FieldShow(self.window.ctx, cast, self.show.environments), view)
+
+        def adapted() -> FieldView:
+            view = dataclasses.replace(self.view)
+            clip = cast.worn.clip(None)
+            view.clip, view.time = ("", 0.0) if clip is None else (clip.name, clip.start)
+            view.pan = (0.0, 0.0)
+            view.left, view.right = "lobes", "harmonics"
+            if cast.transfer is None:
+                view.right, view.split = "lobes", 1.0
+            return view
+
+        context, lights = self.window.ctx, self.show.environments
+        yield from self.replace(lambda: FieldShow(context, cast, lights), adapted)

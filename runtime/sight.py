@@ -130,12 +130,15 @@ class Sight(ABC, Generic[V]):
 
     def release(self) -> None:
         """Give everything back but the context; what is being made is waited for."""
-        for task in self.tasks.values():
-            if task not in self.lasting:
-                task.release()
+        for task in self.leave():
+            task.release()
+
+    def leave(self) -> list[Background[Any]]:
+        """Give everything back but the context, and tell what is being made, without waiting."""
         for held in self._made:
             held.release()
         self._made = []
+        return [task for task in self.tasks.values() if task.busy and task not in self.lasting]
 
     def memory(self) -> dict[str, int]:
         """Bytes by what takes them: files, parts of the GPU's memory, the process."""

@@ -8,7 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from runtime.base_viewer import CAMERA_KEYS, COMMON_KEYS, LIGHTS, PLAY_KEYS, BaseDesk, BaseViewer
+from runtime.base_viewer import (
+    CAMERA_KEYS,
+    COMMON_KEYS,
+    LIGHTS,
+    PLAY_KEYS,
+    BaseDesk,
+    BaseViewer,
+    Steps,
+)
 from runtime.cast import Cast
 from runtime.dropped import recast
 from runtime.show import Show
@@ -93,19 +101,22 @@ class Viewer(BaseViewer[Show, View, Desk]):
         """Show another model, scene, or both."""
         recast(self, found)
 
-    def take(self, cast: Cast) -> None:
+    def take(self, cast: Cast) -> Steps[None]:
         """Show another character, as this one is shown, if it can be.
 
         Raises:
             Exception: it cannot be drawn; this one stays.
         """
-        view = dataclasses.replace(self.view)
-        names = [clip.name for clip in cast.actor.scene.clips]
-        if view.clip not in names:
-            view.clip = names[0]
-        clip = cast.actor.scene.clip(view.clip)
-        view.time = min(max(view.time, clip.start), clip.end)
-        view.blend_clip, view.blend, view.pan, view.vertex = "", 0.0, (0.0, 0.0), None
-        view.order = view.order if view.order < cast.actor.model.order else 0
-        self.window.use()
-        self.replace(Show(self.window.ctx, cast, self.show.studio), view)
+
+        def adapted() -> View:
+            view = dataclasses.replace(self.view)
+            names = [clip.name for clip in cast.actor.scene.clips]
+            if view.clip not in names:
+                view.clip = names[0]
+            clip = cast.actor.scene.clip(view.clip)
+            view.time = min(max(view.time, clip.start), clip.end)
+            view.blend_clip, view.blend, view.pan, view.vertex = "", 0.0, (0.0, 0.0), None
+            view.order = view.order if view.order < cast.actor.model.order else 0
+            return view
+
+        yield from self.replace(lambda: Show(self.window.ctx, cast, self.show.studio), adapted)

@@ -227,7 +227,7 @@ def test_what_cannot_be_shown_is_told_and_taken_back(viewer):
     viewer.change("light", "moon")
     assert viewer.view.light == "studio"
     lobes = dataclasses.replace(viewer.show.cast, lobes=lobe_field(bumpy(1, 4), 2), transfer=None)
-    viewer.take(lobes)
+    list(viewer.take(lobes))
     assert viewer.show.cast is lobes
     for key in ("_2", "_3"):
         viewer.message = ""
@@ -370,9 +370,10 @@ def test_what_cannot_be_drawn_gives_back_what_it_took(viewer, monkeypatch):
     def broken(*_: Any, **__: Any) -> None:
         raise PrtnetError("field", "is too large for a texture here")
 
-    real = FieldShow.release
+    viewer.step(0.0)
+    real = FieldShow.leave
     monkeypatch.setattr("runtime.field_show.LobeStage", broken)
-    monkeypatch.setattr(FieldShow, "release", lambda self: (released.append(self), real(self)))
+    monkeypatch.setattr(FieldShow, "leave", lambda self: (released.append(self), real(self))[1])
     viewer.desk.open_files = lambda *_: dataclasses.replace(
         viewer.show.cast, lobes=lobe_field(bumpy(1, 4), 1)
     )

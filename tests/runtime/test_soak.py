@@ -119,6 +119,9 @@ def test_frames_that_are_not_finite_are_counted():
         results = iter(2 * [("", True), ("light", False), ("", True)])
         runs = 0
 
+        def prepare(self):
+            pass
+
         def __call__(self):
             return next(self.results)
 

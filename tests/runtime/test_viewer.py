@@ -805,6 +805,115 @@ def test_what_is_there_is_shown_until_another_is_opened(viewer, tmp_path):
     assert viewer.show is shown
 
 
+def test_another_is_shown_in_steps(viewer, monkeypatch):
+    """Made, drawn, the other one given back: a frame each, and none is drawn twice in one."""
+    made, drawn, gone, shown = [], [], [], viewer.show
+    init, draw, leave = Show.__init__, Show.draw, Show.leave
+    monkeypatch.setattr(Show, "__init__", lambda *given: (made.append(given[0]), init(*given))[1])
+    monkeypatch.setattr(Show, "draw", lambda *given: (drawn.append(given[0]), draw(*given))[1])
+    monkeypatch.setattr(Show, "leave", lambda *given: (gone.append(given[0]), leave(*given))[1])
+    viewer.dropped(0, 0, ["one.safetensors"])
+    viewer.opening.future.exception()
+    viewer.step(0.0)
+    assert len(made) == 1
+    assert drawn == [shown]
+    viewer.view.azimuth = 1.0  # what is changed meanwhile stays changed
+    viewer.step(0.0)
+    assert drawn == [shown, made[0]]
+    assert (viewer.show, gone) == (made[0], [])
+    assert (viewer.view.azimuth, viewer.first.azimuth) == (1.0, 1.0)
+    viewer.view.azimuth = 2.0
+    viewer.step(0.0)
+    assert (drawn[2:], gone) == ([made[0]], [shown])
+    assert viewer.view.azimuth == 2.0
+    assert viewer.message == "one.safetensors on a.glb"
+    assert viewer.opens == ""
+    viewer.step(0.0)
+    assert viewer.finish is None
+    assert len(made) == 1
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_a_viewer_that_is_closed_while_another_is_made_gives_both_back(
+    window, viewer, monkeypatch, frames
+):
+    released = []
+    real = Show.leave
+    monkeypatch.setattr(Show, "leave", lambda self: (released.append(self), real(self))[1])
+    viewer.dropped(0, 0, ["one.safetensors"])
+    viewer.opening.future.exception()
+    for _ in range(frames):
+        viewer.step(0.0)
+    shown = viewer.show
+    viewer.release()
+    assert len(released) == 2
+    assert released[1] is shown
+    assert released[0] is not shown
+
+
+@pytest.mark.parametrize("waited", [False, True])
+def test_another_that_cannot_be_drawn_is_not_shown(viewer, monkeypatch, waited):
+    shown, released, draw, leave = viewer.show, [], Show.draw, Show.leave
+
+    def drawn(show: Show, *given: Any) -> None:
+        if show is not shown:
+            raise PrtnetError("--renderer gl", "cannot draw it")
+        draw(show, *given)
+
+    monkeypatch.setattr(Show, "draw", drawn)
+    monkeypatch.setattr(Show, "leave", lambda show: (released.append(show), leave(show))[1])
+    viewer.view.azimuth = 1.0
+    viewer.step(0.0)
+    viewer.dropped(0, 0, ["one.safetensors"])
+    viewer.opening.future.exception()
+    if waited:
+        viewer.opened()
+    for _ in range(3):
+        viewer.step(0.0)
+        assert viewer.show is shown
+    assert viewer.finish is None
+    assert viewer.message == "--renderer gl: cannot draw it"
+    assert [show is shown for show in released] == [False]
+    assert (viewer.view.azimuth, viewer.good.azimuth, viewer.first.azimuth) == (
+        1.0,
+        1.0,
+        View("bend").azimuth,
+    )
+    assert viewer.desk.model == Path("a.safetensors")
+
+
+def test_a_change_that_the_next_cannot_show_keeps_what_is_there(viewer):
+    """Made in the very frame in which the next one is made."""
+    shown, before = viewer.show, viewer.view.brdf
+    viewer.dropped(0, 0, ["one.safetensors"])
+    viewer.opening.future.exception()
+    viewer.step(0.0)
+    viewer.view.brdf = "no such material"
+    viewer.step(0.0)
+    assert viewer.show is shown
+    assert viewer.view.brdf == before
+    assert "no such material" in viewer.message
+
+
+def test_nobody_waits_for_what_is_traced_for_a_character_that_is_gone(viewer, monkeypatch):
+    gate, shown = threading.Event(), viewer.show
+    shown.cast = dataclasses.replace(shown.cast, trace=lambda _: gate.wait(5.0))
+    viewer.view.left = "visibility"
+    viewer.step(0.0)
+    assert shown.waiting == "tracing visibility"
+    viewer.view.left = "prediction"
+    try:
+        viewer.dropped(0, 0, ["one.safetensors"])
+        viewer.opened()
+        assert viewer.show is not shown
+        assert viewer.show.waiting == ""
+        assert [task.busy for task in viewer.leaving] == [True]
+    finally:
+        threading.Timer(0.2, gate.set).start()
+    viewer.release()  # but before the window is closed
+    assert not any(task.busy for task in viewer.leaving)
+
+
 def test_a_window_that_cannot_be_drawn_on_opens_nothing_yet(viewer, tmp_path, monkeypatch):
     """Minimised, or saved from: then what is opened waits, whatever has come of it."""
     shown = viewer.show
@@ -887,7 +996,7 @@ def test_the_last_light_shines_until_another_is_fitted(viewer, monkeypatch):
     viewer.change("light", "top")
     viewer.step(0.0)
     shown = viewer.show
-    viewer.take(cast())  # while it is being fitted
+    list(viewer.take(cast()))  # while it is being fitted
     assert viewer.show is not shown
     assert viewer.show.waiting == "fitting the light"
     assert "top" not in viewer.show.exposures
