@@ -23,24 +23,28 @@ SHAPE = np.array([0.7, 1.1, 0.4, -0.3])
 
 @pytest.mark.parametrize("axis", [*POLES, [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [1e-9, 0.0, 1.0]])
 @pytest.mark.parametrize("count", [1, 3])
-def test_a_lobe_at_a_pole_or_on_the_equator(axis, count):
-    target = Lobes(np.array([axis]), SHAPE[None]).harmonics()
+def test_a_lobe_at_a_pole_or_on_the_equator(axis, count, dtype):
+    target = Lobes(np.array([axis]), SHAPE[None]).harmonics().astype(dtype)
     fit = fit_lobes(target, count)
     below(relative_error(target, fit), 1e-4)
     if count == 1:
         close(fit.axes[0], axis, atol=1e-5)
 
 
-def test_opposite_axes_are_the_same_lobe():
+def test_opposite_axes_are_the_same_lobe(dtype):
     parity = (-1.0) ** np.arange(4)
-    up, down = Lobes(POLES[:1], SHAPE[None]), Lobes(POLES[1:], (SHAPE * parity)[None])
-    close(up.harmonics(), down.harmonics(), atol=1e-15)
+    up, down = (
+        Lobes(axes.astype(dtype), shape[None].astype(dtype)).harmonics()
+        for axes, shape in ((POLES[:1], SHAPE), (POLES[1:], SHAPE * parity))
+    )
+    close(up, down, atol={"float32": 1e-6, "float64": 1e-15}[dtype])
     # Of the two the fit gives the one whose linear band is positive.
-    close(fit_lobes(down.harmonics(), 1).axes, POLES[:1], atol=1e-5)
+    close(fit_lobes(down, 1).axes, POLES[:1], atol=1e-5)
 
 
-def test_two_lamps_opposite_to_each_other_are_one_lobe():
-    target = Lobes(POLES, np.stack([SHAPE, [0.2, 0.9, -0.8, 0.5]])).harmonics()
+def test_two_lamps_opposite_to_each_other_are_one_lobe(dtype):
+    lamps = Lobes(POLES, np.stack([SHAPE, [0.2, 0.9, -0.8, 0.5]]))
+    target = lamps.harmonics().astype(dtype)
     below(relative_error(target, fit_lobes(target, 1)), 1e-5)
 
 
@@ -56,12 +60,13 @@ def test_equal_axes_share_their_coefficients(count):
 
 
 @pytest.mark.parametrize("gap", [1e-12, 1e-4, 1e-2])
-def test_lobes_that_meet_do_not_blow_up(gap):
+def test_lobes_that_meet_do_not_blow_up(gap, dtype):
     # The difference of two lobes over the angle between them: a derivative, which no two lobes
     # are, though two with large coefficients of opposite sign come near.
     angle = np.array([0.0, max(gap, 1e-6)])
     axes = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=-1)
-    target = Lobes(axes, np.stack([-SHAPE, SHAPE]) / max(gap, 1e-6)).harmonics()
+    steep = Lobes(axes, np.stack([-SHAPE, SHAPE]) / max(gap, 1e-6))
+    target = steep.harmonics().astype(dtype)
     for count in (2, 3):
         fit = fit_lobes(target, count)
         below(np.abs(fit.coefficients).max(), 1000 * np.linalg.norm(target))
@@ -101,9 +106,9 @@ def test_more_lobes_than_anything_needs():
     below(np.abs(fit.coefficients).max(), 4 * np.linalg.norm(target))
 
 
-def test_a_constant_is_all_in_the_first_band():
+def test_a_constant_is_all_in_the_first_band(dtype):
     for order in (1, 4):
-        target = np.zeros(order * order)
+        target = np.zeros(order * order, dtype)
         target[0] = 2.0
         fit = fit_lobes(target, 3)
         close(fit.coefficients[:, 0].sum(), 2 * math.sqrt(4 * math.pi), 1e-5)
@@ -112,8 +117,8 @@ def test_a_constant_is_all_in_the_first_band():
 
 
 @pytest.mark.parametrize("fit", [fit_lobes, exact_lobes, lambda f: fewest_lobes(f, 3, 0.01)])
-def test_nothing_to_fit(fit):
-    for target in (np.zeros(16), np.zeros((2, 16), np.float32)):
+def test_nothing_to_fit(fit, dtype):
+    for target in (np.zeros(16, dtype), np.zeros((2, 16), dtype)):
         lobes = fit(target)
         equal(lobes.coefficients, 0)
         close(np.linalg.norm(lobes.axes, axis=-1), 1, atol=1e-6)
@@ -122,8 +127,8 @@ def test_nothing_to_fit(fit):
     assert fit(np.zeros((2, 0, 16))).coefficients.shape[:2] == (2, 0)
 
 
-def test_a_black_channel_beside_others():
-    target = np.random.default_rng(1).normal(size=(3, 16))
+def test_a_black_channel_beside_others(dtype):
+    target = np.random.default_rng(1).normal(size=(3, 16)).astype(dtype)
     target[1] = 0
     fit = fit_lobes(target, 2)
     equal(fit.coefficients[1], 0)
@@ -157,18 +162,19 @@ def test_impossible_requests_are_refused():
         fit_lobes(np.ones(8))
 
 
-def test_bands_that_cannot_tell_an_axis_from_its_opposite():
+def test_bands_that_cannot_tell_an_axis_from_its_opposite(dtype):
     even = Lobes(np.array([[0.48, 0.6, 0.64]]), np.array([[0.3, 0.0, 1.0, 0.0, -0.4]]))
-    fit = fit_lobes(even.harmonics(), 1)
+    fit = fit_lobes(even.harmonics().astype(dtype), 1)
     close(abs(fit.axes[0] @ even.axes[0]), 1, 1e-6)
     close(fit.coefficients, even.coefficients, atol=1e-5)
 
 
-def test_exact_lobes_turn_exactly():
-    target = np.random.default_rng(3).normal(size=(3, 36))
+def test_exact_lobes_turn_exactly(dtype):
+    target = np.random.default_rng(3).normal(size=(3, 36)).astype(dtype)
     for turn in (*Rotation.random(3, rng=0).as_matrix(), np.diag([1.0, -1, -1])):
         turned = exact_lobes(target).rotated(turn).harmonics()
-        close(turned, rotate(target, turn), atol=1e-10)
+        expected = rotate(target.astype(np.float64), turn)
+        close(turned, expected, atol={"float32": 2e-5, "float64": 1e-10}[dtype])
 
 
 def planted(seed: int, count: int, order: int) -> np.ndarray:
@@ -214,8 +220,8 @@ def test_following_nothing_leaves_axes_where_they_are():
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])
-def test_a_linear_function_is_one_lobe(count):
-    target = np.zeros(25)
+def test_a_linear_function_is_one_lobe(count, dtype):
+    target = np.zeros(25, dtype)
     target[1:4] = [0.3, -0.2, 0.9]
     fit = fit_lobes(target, count)
     below(relative_error(target, fit), 1e-5)
@@ -225,10 +231,10 @@ def test_a_linear_function_is_one_lobe(count):
 
 
 @pytest.mark.parametrize("count", [2, 3])
-def test_even_bands_alone_are_fitted_as_functions(count):
+def test_even_bands_alone_are_fitted_as_functions(count, dtype):
     shapes = np.random.default_rng(count).normal(size=(count, 5)) * [1, 0, 1, 0, 1]
     axes = Rotation.random(rng=3).as_matrix()[:count]
-    target = Lobes(axes, shapes).harmonics()
+    target = Lobes(axes, shapes).harmonics().astype(dtype)
     below(relative_error(target, fit_lobes(target, count)), 1e-5)
 
 
