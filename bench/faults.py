@@ -119,6 +119,9 @@ JOBS = (
         ("--iterations 4", "--iterations 3"), label=" (--cluster)"),
     Job("bake {inputs}/arm.glb --out {out} --rays 32 --order 3 --cluster {cluster}",
         "arm-far.safetensors", ("--rays 32", "--rays 16"), label=" (--cluster)"),
+    Job("bake-all-frequency {inputs}/arm.glb --out {out} --texels 8 --points-per-cluster 40 "
+        "--terms 3 --rows 2 --brdf ggx:roughness=0.3 --cluster {cluster}",
+        "arm-far-light.safetensors", ("--terms 3", "--terms 2"), label=" (--cluster)"),
     Job("export {inputs}/arm.safetensors --out {out}", "export",
         ("--out {out}", "--out {out} --storage int8")),
     Job("report {inputs}/arm.zarr --out {out} --quick --renderer cpu --threads 1", "arm.html",
