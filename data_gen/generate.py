@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +24,7 @@ from data_gen.pose_sampling import MARGIN
 from data_gen.readers import read_scene
 from data_gen.visibility import PoseTracer, TracedPose
 from prtnet.arrays import BoolArray, FloatArray
+from prtnet.console import Report, silent
 from prtnet.cores import core_count
 from prtnet.dataset import Block
 from prtnet.dataset_repair import DatasetRepair
@@ -35,9 +36,8 @@ from prtnet.places import place
 from prtnet.provenance import made_with
 from prtnet.scene import PointCacheScene, Receivers, Scene, SkinnedScene
 
-__all__ = ["GenerateConfig", "GenerateSummary", "Progress", "generate"]
+__all__ = ["GenerateConfig", "GenerateSummary", "generate"]
 
-Progress = Callable[[int, int], None]  # poses done, poses in all
 
 PACKAGES = ("embreex", "numpy", "scipy", "zarr")  # that decide the bytes of a dataset
 DEFAULT_FPS = 10.0  # neighbouring frames of 30 are nearly alike and cost three times the rays
@@ -111,7 +111,7 @@ def generate(
     scene: Scene,
     config: GenerateConfig,
     out: str | Path,
-    progress: Progress | None = None,
+    report: Report = silent,
     repair: bool = False,
     cluster: str | None = None,
     source: Path | None = None,
@@ -125,7 +125,7 @@ def generate(
         scene: the animated mesh.
         config: what to trace of it.
         out: the dataset's folder.
-        progress: is told how far it is.
+        report: of progress.
         repair: see above.
         cluster: address of a Dask scheduler whose workers trace; threads of this process if None.
         source: the scene's file, which every worker has under this name, as it has ``out``.
@@ -141,12 +141,11 @@ def generate(
     plan, receivers, tangents = planned(scene, config)
     attributes, fixed = describe(scene, config, plan, receivers, tangents)
     given = attributes, fixed, len(plan), config.block
-    writer = DatasetRepair(out, *given) if repair else DatasetWriter(out, *given)
+    writer = (DatasetRepair if repair else DatasetWriter)(out, *given, report=report)
     missing = writer.missing()
     todo = sum(len(range(len(plan))[writer.span(block)]) for block in missing)
     done = len(plan) - todo
-    report = progress or silent
-    report(done, len(plan))
+    report("poses", done, len(plan))
     if cluster is None or source is None:
         task: Task = TraceBlock(plan, writer, tracer_of(scene, receivers, tangents, config))
     else:
@@ -156,7 +155,7 @@ def generate(
         ahead = 1 + -(-config.threads // config.block)
         for block in executor(cluster, config.threads, PACKAGES).run(task, missing, ahead):
             done += len(range(len(plan))[writer.span(block)])
-            report(done, len(plan))
+            report("poses", done, len(plan))
     path = writer.finish()
     return GenerateSummary(
         path=path,
@@ -167,10 +166,6 @@ def generate(
         seconds=time.perf_counter() - started,
         mended=tuple(writer.mended) if isinstance(writer, DatasetRepair) else (),
     )
-
-
-def silent(done: int, total: int) -> None:
-    """Progress nobody asked for."""
 
 
 def tracer_of(

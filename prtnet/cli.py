@@ -165,9 +165,8 @@ def generate(argv: Sequence[str]) -> None:
     scene = read_scene(files.scene)
     require_clips(scene)
     with session.console.progress() as report:
-        told = functools.partial(report, "poses")
         where = files.cluster, files.scene
-        summary = trace(scene, config, files.out, told, files.repair, *where)
+        summary = trace(scene, config, files.out, report, files.repair, *where)
     session.finish(dataclasses.asdict(summary))
 
 

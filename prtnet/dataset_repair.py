@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import zarr
 
+from prtnet.console import Report, silent
 from prtnet.dataset import (
     HEADERS,
     POSE_ARRAYS,
@@ -23,7 +24,7 @@ from prtnet.dataset import (
     header_sums,
 )
 from prtnet.dataset_checks import check_folder, odd_header
-from prtnet.dataset_writer import DatasetWriter, create, make_room, writable
+from prtnet.dataset_writer import READING, DatasetWriter, create, make_room, writable
 from prtnet.errors import PrtnetError
 from prtnet.places import damage, is_remote, place, put, remove_place, sizes, store, there
 
@@ -36,6 +37,7 @@ class DatasetRepair(DatasetWriter):
     Args:
         path: the dataset.
         attributes, fixed, poses, block: as they were given to the writer that made it.
+        report: of progress, while what is there is read.
 
     Attributes:
         mended: what was damaged: files, and blocks of arrays.
@@ -51,6 +53,7 @@ class DatasetRepair(DatasetWriter):
         fixed: Mapping[str, np.ndarray[Any, Any]],
         poses: int,
         block: int,
+        report: Report = silent,
     ) -> None:
         self.path = self._folder = place(path).resolve()
         self.poses, self.block = poses, block
@@ -70,11 +73,11 @@ class DatasetRepair(DatasetWriter):
             finally:
                 remove_place(sound)
             self._group = zarr.open_group(store(self.path), mode="r+", zarr_format=3)
-        self.bad = {
-            number: names
-            for number in range(self.blocks)
-            if (names := [name for name in POSE_ARRAYS if not self._whole(name, number)])
-        }
+        self.bad: dict[int, list[str]] = {}
+        for number in range(self.blocks):
+            if names := [name for name in POSE_ARRAYS if not self._whole(name, number)]:
+                self.bad[number] = names
+            report(READING, number + 1, self.blocks)
 
     def _require_same(self, sound: Path) -> None:
         """Refuse a dataset that was made with other options or versions than are given now."""

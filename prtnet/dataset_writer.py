@@ -18,6 +18,7 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
 
+from prtnet.console import Report, silent
 from prtnet.dataset import (
     FORMAT_VERSION,
     HEADERS,
@@ -48,6 +49,7 @@ from prtnet.places import (
 __all__ = ["MARKERS", "DatasetWriter"]
 
 MARKERS = ".whole-blocks"
+READING = "blocks read back"
 # Chunks of zeros are files too: one that is missing is then always a damaged copy. Of arrays, since
 # what is set for all of Zarr is set for all threads.
 EVERY_CHUNK: Any = {"write_empty_chunks": True}
@@ -63,6 +65,7 @@ class DatasetWriter:
         poses: number of poses P.
         block: poses a block.
         join: an equal run that is under way, and start none.
+        report: of progress, while what is there already is read.
 
     Raises:
         PrtnetError: the folder cannot be written, or there is no run to join.
@@ -76,6 +79,7 @@ class DatasetWriter:
         poses: int,
         block: int,
         join: bool = False,
+        report: Report = silent,
     ) -> None:
         self.path = place(path).resolve()
         self.poses, self.block = poses, block
@@ -94,7 +98,7 @@ class DatasetWriter:
             if self.resumed:
                 self._group = zarr.open_group(store(self.partial), mode="r+", zarr_format=3)
                 if not (join or is_remote(self.path)):  # stores take files whole
-                    self._forget_lost()
+                    self._forget_lost(report)
                 return
             if join:
                 raise PrtnetError(
@@ -127,13 +131,15 @@ class DatasetWriter:
         except failures(self.path):
             return False
 
-    def _forget_lost(self) -> None:
+    def _forget_lost(self, report: Report) -> None:
         """Take the markers of blocks away that did not reach the disk before power was lost."""
-        for number in sorted(set(range(self.blocks)) - set(self.missing())):
+        marked = sorted(set(range(self.blocks)) - set(self.missing()))
+        for done, number in enumerate(marked, 1):
             if lost := [name for name in POSE_ARRAYS if not self._whole(name, number)]:
                 self._marker(number).unlink(missing_ok=True)  # an equal run may have, too
                 for name in lost:
                     make_room(self._file(name, number))
+            report(READING, done, len(marked))
 
     def _whole(self, name: str, number: int) -> bool:
         """Whether a block of an array is there and has its checksum."""

@@ -46,9 +46,7 @@ def same(a: Dataset, b: Dataset) -> None:
 def test_the_dataset_is_what_the_scene_does(scene: SkinnedScene, tmp_path: Path) -> None:
     config = dataclasses.replace(CONFIG, holdout=("last",), sample=3, seed=2)
     told: list[tuple[int, int]] = []
-    summary = generate(
-        scene, config, tmp_path / "arm.zarr", lambda done, total: told.append((done, total))
-    )
+    summary = generate(scene, config, tmp_path / "arm.zarr", lambda _, *given: told.append(given))
     dataset = Dataset.open(summary.path)
     receivers = scene.receivers()
     assert (summary.poses, summary.resumed, len(dataset)) == (18, 0, 18)
@@ -112,15 +110,24 @@ class StoppedError(Exception):
 
 
 def test_a_stopped_run_goes_on(scene: SkinnedScene, tmp_path: Path) -> None:
-    def stop(done: int, total: int) -> None:
+    told: list[tuple[str, int, int]] = []
+
+    def stop(what: str, done: int, total: int, _: str = "") -> None:
+        told.append((what, done, total))
         if done >= total / 2:
             raise StoppedError
 
     with pytest.raises(StoppedError):
         generate(scene, CONFIG, tmp_path / "arm.zarr", stop)
     assert not (tmp_path / "arm.zarr").exists()
-    summary = generate(scene, CONFIG, tmp_path / "arm.zarr")
+    assert {what for what, *_ in told} == {"poses"}
+    told.clear()
+    summary = generate(scene, CONFIG, tmp_path / "arm.zarr", lambda *given: told.append(given))
     assert 8 <= summary.resumed <= 15  # blocks that were under way were written
+    blocks = -(-summary.resumed // CONFIG.block)
+    read = [given for given in told if given[0] != "poses"]
+    assert read == [("blocks read back", number + 1, blocks) for number in range(blocks)]
+    assert told[-1] == ("poses", 15, 15)
     whole = generate(scene, CONFIG, tmp_path / "whole.zarr")
     assert whole.resumed == 0
     same(Dataset.open(summary.path), Dataset.open(whole.path))
@@ -136,7 +143,7 @@ def test_a_killed_run_goes_on(tmp_path: Path) -> None:
         "from data_gen.generate import GenerateConfig, generate\n"
         "from data_gen.procedural import arm\n"
         f"generate(arm(segments=10), GenerateConfig(count=40, rays=64, threads=1, block=2), "
-        f"{str(tmp_path / 'arm.zarr')!r}, lambda done, total: print(done, flush=True))\n"
+        f"{str(tmp_path / 'arm.zarr')!r}, lambda _, done, __: print(done, flush=True))\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
     with subprocess.Popen(
@@ -176,7 +183,7 @@ def test_a_flipped_bit_is_traced_again_to_the_same_bytes(
 
 
 def test_other_options_start_over(scene: SkinnedScene, tmp_path: Path) -> None:
-    def stop(done: int, total: int) -> None:
+    def stop(_: str, done: int, total: int, __: str = "") -> None:
         if done:
             raise StoppedError
 
