@@ -4,7 +4,7 @@
     python bench/fuzz.py --case K READER    # one of them again, with its traceback
 
 J readers at a time; cases of one run one after the other in a process of its own with 1 GB of
-address space beside what sound files take, and two seconds of processor time each. Anything else
+address space beside what sound files take, and four seconds of processor time each. Anything else
 than success or one line of error is a failure: another exception, a warning, a word on the output
 streams, a file outside the folder, a step towards the network or another program, a process that
 dies. Its files are kept under bench/out/fuzz.
@@ -37,7 +37,7 @@ PAGE = ROOT / "docs" / "reliability.md"
 COLUMNS = ("reader", "inputs tried", "read", "refused in one line", "crashed or other",
            "slowest, ms", "peak, MB")  # fmt: skip
 ROOM = 1 << 30  # bytes of address space
-SECONDS = 2.0  # of processor time
+SECONDS = 4.0  # of processor time: the largest picture takes up to two
 SILENCE = 600.0  # seconds of the clock without a new case: it hangs
 
 
@@ -147,8 +147,9 @@ def tried(name: str, seed: int, cases: int, folder: Path) -> Tally:
         why = {-signal.SIGPROF: f"over {SECONDS:g} s", -signal.SIGKILL: "hung or killed"}
         reason = why.get(process.returncode, f"exit {process.returncode}")
         tally.failures[case] = reason
-        Stage(folder / "dead").place.hold(READERS[name].case((seed, name, case)))
-        Place(folder / "dead" / "case").copy(kept(name, case))
+        dead = Stage(folder / "dead").place
+        dead.hold(READERS[name].case((seed, name, case)))
+        dead.copy(kept(name, case))
         if case > first:  # those before it again, since their process told nothing
             tally.add(vars(tried_alone(name, seed, first, case, folder)))
         first = case + 1

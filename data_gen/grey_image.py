@@ -22,6 +22,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".tga", "
 LARGEST = 1 << 26  # pixels
 MOST_BYTES = 16 * LARGEST  # of a file
 STRIP = 1 << 20  # pixels at a time
+SHARES = np.arange(256) / 255.0  # of white, of a byte
 # Of all that Pillow knows: for some others it runs programs (Ghostscript for EPS).
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "TGA", "PPM")
 
@@ -45,12 +46,14 @@ def read_grey(path: str | Path, texels: tuple[int, int] | None = None) -> FloatA
             grey = np.ascontiguousarray((read_exr(path) @ REC709)[::-1])
         else:
             grey = decoded(path)
-    if np.isnan(grey).any():
+    # By one number alone: to go through a large picture again and again takes long.
+    highest = grey.max(initial=-np.inf)
+    if np.isnan(highest):
         count = int(np.isnan(grey).sum())
         raise PrtnetError(path, f"holds {count} values that are not numbers (NaN); repair it")
-    if np.isposinf(grey).any():
+    if highest == np.inf:
         raise PrtnetError(path, "holds heights that are infinite upwards; repair it")
-    if not np.isfinite(grey).any():
+    if highest == -np.inf:
         raise PrtnetError(path, "has no finite height; give a picture of a surface")
     if texels is not None and texels != grey.shape[::-1]:
         if not np.isfinite(grey).all():
@@ -109,12 +112,17 @@ def grey_strip(picture: Image.Image) -> FloatArray:
     if picture.mode == "F":
         return np.asarray(picture, dtype=np.float64)
     if picture.mode.startswith("I"):
-        grey = np.asarray(picture, dtype=np.float64)
-        if grey.max(initial=0.0) > 65535.0 or grey.min(initial=0.0) < 0.0:
+        whole = np.asarray(picture)
+        if whole.max(initial=0) > 65535 or whole.min(initial=0) < 0:
             raise ValueError("whole numbers beyond 16 bits; save it with 16 bits or as floats")
-        return grey / 65535.0
-    colour = np.asarray(picture.convert("RGB"), dtype=np.float64) / 255.0
-    return np.asarray(colour @ REC709)
+        return np.asarray(whole / 65535.0)
+    if picture.mode == "L":
+        return np.asarray(SHARES[np.asarray(picture)])
+    colour = np.asarray(picture.convert("RGB"))
+    grey = (REC709[0] * SHARES)[colour[..., 0]]
+    for channel in (1, 2):
+        grey += (REC709[channel] * SHARES)[colour[..., channel]]
+    return np.asarray(grey)
 
 
 def resampled(grey: FloatArray, texels: tuple[int, int]) -> FloatArray:
