@@ -14,6 +14,7 @@ import resource
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import torch
 from factors import BareCookTorrance
@@ -63,6 +64,7 @@ class Encoder:
 
     def __init__(self, surface: Surface, seen: CubeVisibility, brdf: BRDF, threads: int) -> None:
         self.surface, self.seen, self.threads = surface, seen, threads
+        self.each = ThreadPoolExecutor(threads).map
         self.rows = row_factors(brdf)
         self.seconds: Counter[str] = Counter()
 
@@ -86,7 +88,7 @@ class Encoder:
         found = []
         for raw in self.segments():
             with self.stage("clusters"):
-                found.append(clustered(raw, CompressConfig(*way)))
+                found.append(clustered(raw, CompressConfig(*way), self.each))
             print(f"\r{way}, segment {len(found)}", end="", flush=True)
         print()
         return found
@@ -100,13 +102,13 @@ class Encoder:
     ) -> list[tuple[AllFrequencyField, Losses]]:
         """The same for several errors, of one pass over the raw transfer."""
         with self.stage("wavelets"):
-            kept = [sparse_wavelets(found, error) for error in errors]
+            kept = [sparse_wavelets(found, error, self.each) for error in errors]
         parts: list[list[Segment]] = [[] for _ in errors]
         losses = [Losses() for _ in errors]
         for number, (raw, one) in enumerate(zip(self.segments(), found, strict=True)):
             with self.stage("weights"):
                 for way, (own, gone) in enumerate(kept):
-                    segment, missed = fitted(raw, one, own[number])
+                    segment, missed = fitted(raw, one, own[number], self.each)
                     parts[way].append(segment)
                     losses[way] += Losses(one.energy, one.lost, one.lost + gone[number], missed)
         view = self.rows.view
@@ -156,7 +158,7 @@ def main() -> None:
     options.add_argument("--vertices", type=int, default=VERTICES)
     options.add_argument("--threads", type=int, default=core_count())
     chosen = options.parse_args()
-    torch.set_num_threads(chosen.threads)
+    torch.set_num_threads(1)  # of each of the threads
     seconds: Counter[str] = Counter()
     started = time.perf_counter()
     mesh = read_mesh(scene_path("bunny.ply"))

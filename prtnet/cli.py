@@ -407,8 +407,7 @@ def bake_all_frequency(argv: Sequence[str]) -> None:
 
     place = elsewhere(options.cluster, options.out, PACKAGES)
     with session.console.progress() as report, place:
-        alone = 1 if options.cluster else options.threads  # the number changes the rounding
-        fields = baked_fields(options, threads(alone), report)
+        fields = baked_fields(options, threads(options.threads), report)
         save_fields(options.out, fields)
     for field in fields:
         columns = (field.metadata["source"], "bytes", "of raw", "squared error")

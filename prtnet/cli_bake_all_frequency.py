@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,8 +67,6 @@ class AllFrequencyOptions:
             ("--threads", self.threads, 1, MOST_THREADS),
         ):
             check_within(option, value, least, most)
-        if self.cluster is not None and (self.threads or 1) > 1:
-            raise PrtnetError("--threads", "is 1 beside --cluster, as on workers; leave it out")
         if self.texels not in TEXELS:
             raise PrtnetError("--texels", f"is {self.texels}; give 8, 16, 32 or 64")
         if not 0.0 <= (fraction_of("--error", self.error) or 0.0) < 1.0:
@@ -103,7 +103,7 @@ def baked_fields(
     from prtnet.materials import brdf_named
     from prtnet.transfer import Surface
 
-    use_threads(threads)
+    use_threads(1)  # pieces of the work have one each: their number decides no byte
     brdf = brdf_named(options.brdf)
     if options.rows is not None and isinstance(brdf, Lambert):
         raise PrtnetError("--rows", "does nothing for a matte material; leave it out")
@@ -142,14 +142,17 @@ def one(
     from training.all_frequency import compress, compressed
 
     seen = cube_visibility(surface, casters, SAMPLES * options.texels, threads, report)
-    facts = {**told, **rows.facts(), "made_with": made_with(*PACKAGES, threads=threads)}
+    facts = {**told, **rows.facts(), "made_with": made_with(*PACKAGES)}
     kept = surface, rows.view, options.texels, options.compression(), facts, report
     place = exchange()
-    if place is None:
-        return compress(lambda: transfer_segments(surface, seen, rows, threads), *kept)
-    from prtnet.cli_bake_segments import stages_elsewhere
+    with ThreadPoolExecutor(threads) as pool:
+        if place is None:
+            segments = partial(transfer_segments, surface, seen, rows, threads)
+            return compress(segments, *kept, pool.map)
+        from prtnet.cli_bake_segments import stages_elsewhere
 
-    return compressed(stages_elsewhere(place, surface, seen, rows, options.compression()), *kept)
+        parts = stages_elsewhere(place, surface, seen, rows, options.compression())
+        return compressed(parts, *kept, pool.map)
 
 
 def stages(field: AllFrequencyField) -> list[list[str]]:

@@ -1,12 +1,40 @@
-"""How many threads are worth starting, and threads that last."""
+"""How many threads are worth starting, what they share, and threads that last."""
 
 from __future__ import annotations
 
 import functools
 import os
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Protocol, TypeVar
 
-__all__ = ["core_count", "lasting_threads", "use_blas_threads", "use_threads"]
+__all__ = [
+    "Each",
+    "core_count",
+    "lasting_threads",
+    "one_by_one",
+    "use_blas_threads",
+    "use_threads",
+]
+
+A = TypeVar("A")
+B = TypeVar("B")
+
+
+class Each(Protocol):
+    """Does the same to every piece, and gives what comes of each in order.
+
+    ``ThreadPoolExecutor.map`` does it in threads. Where pieces do not hang on how many there are
+    of these, and each computes by one thread, so do results not.
+    """
+
+    def __call__(self, work: Callable[[A], B], pieces: Iterable[A], /) -> Iterable[B]:
+        """See above."""
+
+
+def one_by_one(work: Callable[[A], B], pieces: Iterable[A], /) -> Iterable[B]:
+    """An ``Each`` of the thread that asks."""
+    return map(work, pieces)
 
 
 def core_count() -> int:

@@ -212,7 +212,7 @@ def test_bake_on_a_cluster(
     trimesh.creation.icosphere(subdivisions=2, radius=0.5).export(mesh)
     argv = [*(word.format(mesh) for word in words.split()), "--quiet", "--out"]
     address = ["--cluster", cluster.scheduler_address]
-    assert run([*argv, str(tmp_path / "here.safetensors"), "--threads", "1"]) == 0
+    assert run([*argv, str(tmp_path / "here.safetensors"), "--threads", "2"]) == 0
     assert run([*argv, str(out), *address]) == 0
     assert out.read_bytes() == (tmp_path / "here.safetensors").read_bytes()
     assert len(list(tmp_path.iterdir())) == 3

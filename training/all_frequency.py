@@ -26,6 +26,7 @@ import torch
 from prtnet.all_frequency import SEGMENTS, AllFrequencyField, Segment
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.console import Report, silent
+from prtnet.cores import Each, one_by_one
 from prtnet.haar import haar, unhaar
 from prtnet.sparse_columns import encode
 from prtnet.transfer import Surface
@@ -131,6 +132,7 @@ def compress(
     config: CompressConfig,
     told: Mapping[str, Any] | None = None,
     report: Report = silent,
+    each: Each = one_by_one,
 ) -> AllFrequencyField:
     """The field of the raw transfer of a surface.
 
@@ -143,6 +145,7 @@ def compress(
         config: how much is kept.
         told: facts for the metadata, beside ``squared_error`` by stage and of every segment.
         report: of progress.
+        each: goes through clusters and blocks of points.
 
     Raises:
         ValueError: there are not 24 segments, or their arrays do not fit the surface.
@@ -153,17 +156,17 @@ def compress(
         for raw in segments():
             if raw.shape != shape:
                 raise ValueError(f"a segment has shape {raw.shape}, expected {shape}")
-            yield clustered(raw, config)
+            yield clustered(raw, config, each)
             del raw  # before the next is made
 
     def weights(
         found: Sequence[Clustered], kept: Sequence[FloatArray]
     ) -> Iterator[tuple[Segment, float]]:
         for raw, one, own in zip(segments(), found, kept, strict=True):
-            yield fitted(raw, one, own)
+            yield fitted(raw, one, own, each)
             del raw
 
-    return compressed((clusters, weights), surface, view, size, config, told, report)
+    return compressed((clusters, weights), surface, view, size, config, told, report, each)
 
 
 Stages = tuple[
@@ -181,6 +184,7 @@ def compressed(
     config: CompressConfig,
     told: Mapping[str, Any] | None = None,
     report: Report = silent,
+    each: Each = one_by_one,
 ) -> AllFrequencyField:
     """As :func:`compress`, wherever ``stages`` cluster and fit the 24 segments in order."""
     clusters, weights = stages
@@ -188,7 +192,7 @@ def compressed(
     for number, cluster in enumerate(clusters(), 1):
         found.append(cluster)
         report("clusters of segments", number, SEGMENTS)
-    kept, left = sparse_wavelets(found, config.error)
+    kept, left = sparse_wavelets(found, config.error, each)
     parts, losses = [], []
     for number, (segment, missed) in enumerate(weights(found, kept)):
         one = found[number]
@@ -205,13 +209,13 @@ def compressed(
     return AllFrequencyField(surface, tuple(parts), view, size, facts)
 
 
-def clustered(raw: FloatArray, config: CompressConfig) -> Clustered:
+def clustered(raw: FloatArray, config: CompressConfig, each: Each = one_by_one) -> Clustered:
     """The clusters of a segment (P, m, (n/2)²) and their exact representatives."""
     points = raw.reshape(len(raw), -1)
     reached = int(points.any(axis=1).sum())
     many = config.clusters(reached)
     how = CpcaConfig(many, config.terms, rounds=config.rounds, seed=config.seed)
-    found = clustered_components(points, how)
+    found = clustered_components(points, how, each)
     order = np.argsort(found.label, kind="stable")[len(raw) - reached :]
     sizes = np.bincount(found.label[order], minlength=len(found.axes))
     return Clustered(
@@ -224,7 +228,7 @@ def clustered(raw: FloatArray, config: CompressConfig) -> Clustered:
 
 
 def sparse_wavelets(
-    found: Sequence[Clustered], error: float
+    found: Sequence[Clustered], error: float, each: Each = one_by_one
 ) -> tuple[list[FloatArray], list[float]]:
     """Representatives of all segments without their smallest numbers, and what goes with them.
 
@@ -234,12 +238,13 @@ def sparse_wavelets(
     Args:
         found: clusters of segments.
         error: see :class:`CompressConfig`.
+        each: goes through segments.
     """
     energy, lost = sum(one.energy for one in found), sum(one.lost for one in found)
     room = max(error * energy - lost, SPARE * lost)
     wavelets = [one.wavelets for one in found]
     least = limit(wavelets, room)
-    wavelets = [turned(one, least) for one in wavelets]
+    wavelets = list(each(lambda one: turned(one, least), wavelets))
     least = limit(wavelets, room)
     left = [below(one, least) for one in wavelets]
     for number, one in enumerate(wavelets):
@@ -297,7 +302,9 @@ def limit(wavelets: Sequence[FloatArray], room: float) -> float:
     return largest * 2.0**low
 
 
-def fitted(raw: FloatArray, found: Clustered, wavelets: FloatArray) -> tuple[Segment, float]:
+def fitted(
+    raw: FloatArray, found: Clustered, wavelets: FloatArray, each: Each = one_by_one
+) -> tuple[Segment, float]:
     """A segment of representatives and the weights of 16 bits that fit them, and Σ‖M̃ − M‖².
 
     Every representative is stored as shares of its largest number, so that none saturates however
@@ -307,6 +314,7 @@ def fitted(raw: FloatArray, found: Clustered, wavelets: FloatArray) -> tuple[Seg
         raw: (P, m, h²).
         found: its clusters.
         wavelets: representatives (C, N, m · h²) without small numbers.
+        each: goes through clusters.
     """
     clusters, terms, width = wavelets.shape
     largest = np.abs(wavelets).max(axis=2, initial=0.0, keepdims=True)
@@ -317,13 +325,15 @@ def fitted(raw: FloatArray, found: Clustered, wavelets: FloatArray) -> tuple[Seg
     points = raw.reshape(len(raw), -1)
     weights = np.zeros((len(found.vertices), terms), dtype=np.int16)
     scale = np.zeros((clusters, terms), dtype=np.float32)
-    lost = 0.0
-    for cluster in range(clusters):
+
+    def one(cluster: int) -> float:
         run = slice(found.starts[cluster], found.starts[cluster + 1])
         own = points[found.vertices[run]]
         weights[run], scale[cluster] = rounded(best_weights(own, rows[cluster]))
         own = own - (weights[run] * scale[cluster]) @ rows[cluster]
-        lost += float(np.square(own, dtype=np.float64).sum())
+        return float(np.square(own, dtype=np.float64).sum())
+
+    lost = sum(each(one, range(clusters)), 0.0)
     sparse = encode(whole.reshape(clusters * terms, width))
     return Segment(found.vertices, found.starts, weights, scale, sparse, 1.0 / MOST), lost
 

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.cores import Each, one_by_one
 
 __all__ = [
     "Components",
@@ -31,7 +32,8 @@ __all__ = [
     "subspaces",
 ]
 
-BLOCK = 1 << 24  # numbers of products at a time
+BLOCK = 1 << 21  # numbers of products at a time
+POINTS = 1024  # of a sketch at a time
 ROUNDING = 1e-13  # eigenvalues below this share of the largest are float64's, not the points'
 SKETCH = 12  # numbers that stand for a point while clusters are sought, for each term
 GAIN = 1e-3  # rounds go on while they bring this share of the error
@@ -79,7 +81,12 @@ def principal(rows: torch.Tensor, most: int) -> tuple[torch.Tensor, torch.Tensor
 
 
 def subspaces(
-    signal: torch.Tensor, label: torch.Tensor, clusters: int, most: int, affine: bool = False
+    signal: torch.Tensor,
+    label: torch.Tensor,
+    clusters: int,
+    most: int,
+    affine: bool = False,
+    each: Each = one_by_one,
 ) -> Subspaces:
     """The best subspace of every cluster; of an empty one nothing.
 
@@ -89,6 +96,7 @@ def subspaces(
         clusters: C.
         most: axes N of a cluster.
         affine: through the mean instead of the origin.
+        each: goes through clusters.
     """
     width = signal.shape[2]
     most = min(most, width)
@@ -97,7 +105,9 @@ def subspaces(
     mean = torch.zeros(clusters, width, dtype=signal.dtype) if affine else None
     order = torch.argsort(label, stable=True)
     sizes = torch.bincount(label, minlength=clusters).tolist()
-    for cluster, chosen in enumerate(torch.split(order, sizes)):
+
+    def one(piece: tuple[int, torch.Tensor]) -> None:
+        cluster, chosen = piece
         rows = signal[chosen].reshape(-1, width)
         if mean is not None and len(rows):
             mean[cluster] = rows.mean(dim=0)
@@ -105,24 +115,31 @@ def subspaces(
         if most and len(rows):
             found = principal(rows, most)
             values[cluster, : len(found[0])], axes[cluster, : len(found[0])] = found
+
+    for _ in each(one, enumerate(torch.split(order, sizes))):
+        pass
     return Subspaces(values, axes, mean)
 
 
-def lost(signal: torch.Tensor, found: Subspaces) -> torch.Tensor:
-    """What each cluster's subspace leaves of each point (V, S, D), squared, (V, C)."""
+def lost(signal: torch.Tensor, found: Subspaces, each: Each = one_by_one) -> torch.Tensor:
+    """What each cluster's subspace leaves of each point (V, S, D), squared, (V, C).
+
+    ``each`` goes through blocks of points.
+    """
     clusters, terms, width = found.axes.shape
     flat = found.axes.reshape(-1, width)
     step = max(1, BLOCK // max(1, signal.shape[1] * clusters * max(terms, 1)))
-    parts = []
-    for own in torch.split(signal, step):
+
+    def one(own: torch.Tensor) -> torch.Tensor:
         left = torch.square(own).sum(dim=(1, 2))[:, None].expand(-1, clusters)
         held = (own @ flat.T).reshape(*own.shape[:2], clusters, terms)
         if found.mean is not None:
             left = left - 2.0 * own.sum(dim=1) @ found.mean.T
             left = left + own.shape[1] * torch.square(found.mean).sum(dim=1)
             held = held - (found.axes @ found.mean[..., None])[..., 0]
-        parts.append(left - torch.square(held).sum(dim=(1, 3)))
-    return torch.cat(parts)
+        return left - torch.square(held).sum(dim=(1, 3))
+
+    return torch.cat(list(each(one, torch.split(signal, step))))
 
 
 def alternate(
@@ -132,6 +149,7 @@ def alternate(
     assign: Callable[[torch.Tensor], torch.Tensor],
     rounds: int,
     gain: float = 0.0,
+    each: Each = one_by_one,
 ) -> torch.Tensor:
     """Clusters (V,) after rounds of subspaces and assignment; those that lose least.
 
@@ -142,10 +160,11 @@ def alternate(
         assign: clusters of what each subspace leaves of each point, (V, C).
         rounds: at most.
         gain: the share of what is lost that a round has to bring for another to follow.
+        each: goes through blocks of points.
     """
     best, least = label, float("inf")
     for _ in range(rounds):
-        left = lost(signal, fit(label))
+        left = lost(signal, fit(label), each)
         total = float(left.gather(1, label[:, None]).sum(dtype=torch.float64))
         if not total < least * (1.0 - gain):
             return best if total >= least else label
@@ -218,7 +237,7 @@ def nearest(left: torch.Tensor) -> torch.Tensor:
     return label
 
 
-def sketch(points: torch.Tensor, width: int, seed: int) -> torch.Tensor:
+def sketch(points: torch.Tensor, width: int, seed: int, each: Each = one_by_one) -> torch.Tensor:
     """Points (V, D) in ``width`` numbers: nearly their leading principal components.
 
     The range of a random matrix after one step of subspace iteration (Halko, Martinsson and Tropp
@@ -228,8 +247,12 @@ def sketch(points: torch.Tensor, width: int, seed: int) -> torch.Tensor:
         return points
     chance = torch.Generator().manual_seed(seed)
     guess = torch.randn(points.shape[1], width, generator=chance, dtype=points.dtype)
-    basis, _ = torch.linalg.qr(points.T @ (points @ guess))
-    return points @ basis
+    blocks = torch.split(points, POINTS)
+    spread = torch.zeros_like(guess)
+    for part in each(lambda own: own.T @ (own @ guess), blocks):
+        spread += part
+    basis, _ = torch.linalg.qr(spread)
+    return torch.cat(list(each(lambda own: own @ basis, blocks)))
 
 
 def scattered(points: torch.Tensor, count: int, seed: int) -> torch.Tensor:
@@ -255,7 +278,9 @@ def scattered(points: torch.Tensor, count: int, seed: int) -> torch.Tensor:
     return taken
 
 
-def cluster_points(points: torch.Tensor, config: CpcaConfig) -> torch.Tensor:
+def cluster_points(
+    points: torch.Tensor, config: CpcaConfig, each: Each = one_by_one
+) -> torch.Tensor:
     """The cluster of each point (V, D), (V,): none of the clusters is empty.
 
     From k-means, clusters of a mean and no axis, the number of axes is doubled until it is n, so
@@ -265,19 +290,19 @@ def cluster_points(points: torch.Tensor, config: CpcaConfig) -> torch.Tensor:
     clusters = min(config.clusters, len(points))
     if clusters < 2:
         return torch.zeros(len(points), dtype=torch.int64)
-    signal = sketch(points, SKETCH * max(1, config.terms), config.seed)
+    signal = sketch(points, SKETCH * max(1, config.terms), config.seed, each)
     centres = signal[scattered(signal, clusters, config.seed)]
     none = torch.zeros(clusters, 0)
     start = Subspaces(none, none[..., None].expand(-1, -1, signal.shape[1]), centres)
     signal = signal[:, None]
-    label = nearest(lost(signal, start))
+    label = nearest(lost(signal, start, each))
     for terms in steps(config.terms):
         affine = config.affine or terms == 0
 
         def fit(label: torch.Tensor, terms: int = terms, affine: bool = affine) -> Subspaces:
-            return subspaces(signal, label, clusters, terms, affine)
+            return subspaces(signal, label, clusters, terms, affine, each)
 
-        label = alternate(signal, label, fit, nearest, config.rounds, GAIN)
+        label = alternate(signal, label, fit, nearest, config.rounds, GAIN, each)
     return label
 
 
@@ -286,8 +311,10 @@ def steps(terms: int) -> list[int]:
     return [0, *(1 << k for k in range(terms.bit_length()) if 1 << k < terms), *[terms][:terms]]
 
 
-def clustered_components(points: FloatArray, config: CpcaConfig) -> Components:
-    """Clusters of points (V, D) float32 and their components.
+def clustered_components(
+    points: FloatArray, config: CpcaConfig, each: Each = one_by_one
+) -> Components:
+    """Clusters of points (V, D) float32 and their components; ``each`` goes through pieces.
 
     Points that are zero are in no cluster. Axes, weights and error are those of the points
     themselves, whatever was sketched on the way.
@@ -301,18 +328,20 @@ def clustered_components(points: FloatArray, config: CpcaConfig) -> Components:
     some = np.flatnonzero(points.any(axis=1))
     own = torch.as_tensor(np.ascontiguousarray(points[some], dtype=np.float32))
     clusters = min(config.clusters, len(some))
-    within = cluster_points(own, config)
-    found = subspaces(own[:, None], within, clusters, config.terms, config.affine)
+    within = cluster_points(own, config, each)
+    found = subspaces(own[:, None], within, clusters, config.terms, config.affine, each)
     label[some] = within.numpy()
     weights = np.zeros((len(points), found.axes.shape[1]), dtype=np.float32)
-    error = 0.0
-    for cluster in range(clusters):
+
+    def one(cluster: int) -> float:
         chosen = torch.nonzero(within == cluster)[:, 0]
         rows = own[chosen] if found.mean is None else own[chosen] - found.mean[cluster]
         held = rows @ found.axes[cluster].T
         weights[some[chosen.numpy()]] = held.numpy()
         rows = rows - held @ found.axes[cluster]
-        error += float(torch.square(rows).sum(dtype=torch.float64))
+        return float(torch.square(rows).sum(dtype=torch.float64))
+
+    error = sum(each(one, range(clusters)), 0.0)
     energy = float(torch.square(own).sum(dtype=torch.float64))
     return Components(
         label,

@@ -8,20 +8,15 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 from data_gen.gltf_writer import write_glb
 from data_gen.procedural import arm
-from prtnet.all_frequency import AllFrequencyField
-from prtnet.all_frequency_file import load_fields
-from prtnet.arrays import FloatArray
 from prtnet.cli import run
 from prtnet.dataset import Dataset
 from prtnet.model import VisibilityModel
-from runtime.all_frequency import shaded
-from tests.hard_cases.measured import below, close
+from tests.hard_cases.measured import close
 
 ROUNDING = 2e-3  # of visibility, whose largest coefficient is √4π; docs/conventions.md
 
@@ -75,12 +70,6 @@ def elsewhere(scene: Path, folder: Path, seed: int) -> Path:
     return folder
 
 
-def radiance(field: AllFrequencyField) -> FloatArray:
-    """In made-up light."""
-    light = np.random.default_rng(0).uniform(size=(6, field.size, field.size, 3))
-    return shaded(field, light.astype(np.float32), np.array([0.0, 1.0, 3.0]))
-
-
 def contents(folder: Path) -> dict[str, bytes]:
     return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
 
@@ -94,17 +83,11 @@ def test_the_same_commands_write_the_same_bytes(scene: Path, tmp_path: Path) -> 
 
     more = everything(scene, tmp_path / "more", threads=2)
     other = contents(more)
-    data = [name for name in first if name.startswith(("arm.zarr", "bumps"))]
+    data = [name for name in first if name.startswith(("arm.zarr", "bumps", "light"))]
+    assert len(data) > 10
     assert [name for name in data if first[name] != other[name]] == []
     poses = Dataset.open(one / "arm.zarr").read("pose")
     models = [VisibilityModel.load(at / "arm.safetensors") for at in (one, more)]
     assert [model.metadata["made_with"]["threads"] for model in models] == [1, 2]
     a, b = (model(poses) for model in models)
     close(a, b, atol=ROUNDING)
-
-    # Other threads, other clusters: fields differ by what they leave out, and leave out as much.
-    fields = [load_fields(at / "light.safetensors")[0] for at in (one, more)]
-    lost, other_lost = (field.metadata["squared_error"]["stored"] ** 0.5 for field in fields)
-    close(other_lost, lost, rtol=0.2)
-    bright, other_bright = (radiance(field) for field in fields)
-    below(np.linalg.norm(other_bright - bright), 2.0 * lost * np.linalg.norm(bright))

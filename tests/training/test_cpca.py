@@ -1,6 +1,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,6 +106,41 @@ def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = lost(signal, found)
     monkeypatch.setattr("training.cpca.BLOCK", 100)
     np.testing.assert_allclose(lost(signal, found), whole, rtol=1e-5, atol=1e-4)
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("one_thread")
+@pytest.mark.parametrize("affine", [False, True])
+def test_no_byte_depends_on_the_number_of_threads(
+    monkeypatch: pytest.MonkeyPatch, affine: bool
+) -> None:
+    """Each piece is one's; they are more than there are threads."""
+    monkeypatch.setattr("training.cpca.BLOCK", 1000)
+    monkeypatch.setattr("training.cpca.POINTS", 50)
+    rng = np.random.default_rng(0)
+    points = (rng.normal(size=(300, 90)) @ rng.normal(size=(90, 90))).astype(np.float32)
+    config = CpcaConfig(6, 3, affine)
+    alone = vars(clustered_components(points, config))
+    asked: list[int] = []
+    for threads in (2, 5):
+        with ThreadPoolExecutor(threads) as pool:
+
+            def each(work: Callable[[Any], Any], pieces: Iterable[Any]) -> Iterable[Any]:
+                listed = list(pieces)
+                asked.append(len(listed))
+                return pool.map(work, listed)
+
+            shared = vars(clustered_components(points, config, each))
+        for name, value in alone.items():
+            np.testing.assert_array_equal(shared[name], value, err_msg=name)
+    assert {2, 4, 6} <= set(asked)  # blocks, clusters
 
 
 @pytest.mark.parametrize("affine", [False, True])
