@@ -16,7 +16,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-import torch
 from factors import BareCookTorrance
 from tables import per_cent, publish, scene_path
 
@@ -29,7 +28,7 @@ from prtnet.all_frequency_factors import row_factors
 from prtnet.all_frequency_file import reached, sizes
 from prtnet.arrays import FloatArray
 from prtnet.brdf import BRDF, CookTorrance, Lambert
-from prtnet.cores import core_count
+from prtnet.cores import core_count, use_threads
 from prtnet.cube_map import SIZE
 from prtnet.transfer import Surface
 from training.all_frequency import (
@@ -158,7 +157,7 @@ def main() -> None:
     options.add_argument("--vertices", type=int, default=VERTICES)
     options.add_argument("--threads", type=int, default=core_count())
     chosen = options.parse_args()
-    torch.set_num_threads(1)  # of each of the threads
+    use_threads(1)  # of each of the threads
     seconds: Counter[str] = Counter()
     started = time.perf_counter()
     mesh = read_mesh(scene_path("bunny.ply"))
