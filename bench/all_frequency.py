@@ -14,7 +14,6 @@ import resource
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 from factors import BareCookTorrance
 from tables import per_cent, publish, scene_path
@@ -28,7 +27,7 @@ from prtnet.all_frequency_factors import row_factors
 from prtnet.all_frequency_file import reached, sizes
 from prtnet.arrays import FloatArray
 from prtnet.brdf import BRDF, CookTorrance, Lambert
-from prtnet.cores import core_count, use_threads
+from prtnet.cores import computing_threads, core_count, use_threads
 from prtnet.cube_map import SIZE
 from prtnet.transfer import Surface
 from training.all_frequency import (
@@ -63,7 +62,7 @@ class Encoder:
 
     def __init__(self, surface: Surface, seen: CubeVisibility, brdf: BRDF, threads: int) -> None:
         self.surface, self.seen, self.threads = surface, seen, threads
-        self.each = ThreadPoolExecutor(threads).map
+        self.each = computing_threads(threads).map
         self.rows = row_factors(brdf)
         self.seconds: Counter[str] = Counter()
 

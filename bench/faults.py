@@ -104,7 +104,7 @@ JOBS = (
         "--networks 1 --alpha 0.01 --threads 1", "neural.safetensors",
         ("--iterations 4", "--iterations 3"), label=" (neural)"),
     Job("bake-all-frequency {inputs}/arm.glb --out {out} --texels 8 --points-per-cluster 40 "
-        "--terms 3 --rows 2 --brdf ggx:roughness=0.3 --threads 1", "arm-light.safetensors",
+        "--terms 3 --rows 2 --brdf ggx:roughness=0.3", "arm-light.safetensors",
         ("--terms 3", "--terms 2")),
     Job("generate {inputs}/arm.glb --out farm://{out} --count 9 --rays 32 --order 3 --block 2 "
         "--threads 2", "store.zarr", ("--rays 32", "--rays 16"),

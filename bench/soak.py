@@ -245,6 +245,7 @@ class OnnxLoop:
         self.onnx = OnnxModel(build_onnx(self.actor.model).SerializeToString(), threads=1)
 
     def prepare(self) -> None:
+        """Another model, if it is time."""
         self.changed = self.rng.random() < self.rates["another character"]
         if self.changed:
             self.take()

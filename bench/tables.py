@@ -69,9 +69,11 @@ def dataset(name: str, scene: str, config: GenerateConfig) -> Dataset:
     if not path.exists() or not made_with(Dataset.open(path), config):
         OUT.mkdir(parents=True, exist_ok=True)
         source = read_scene(scene_path(scene))
-        generate(
-            source, config, path, lambda done, total: print(f"\r{name} {done}/{total}", end="")
-        )
+
+        def report(what: str, done: int, total: int, detail: str = "") -> None:
+            print(f"\r{name}: {what} {done}/{total} {detail}", end="")
+
+        generate(source, config, path, report)
         print()
     return Dataset.open(path)
 

@@ -38,7 +38,6 @@ from prtnet.scene import PointCacheScene, Receivers, Scene, SkinnedScene
 
 __all__ = ["GenerateConfig", "GenerateSummary", "generate"]
 
-
 PACKAGES = ("embreex", "numpy", "scipy", "zarr")  # that decide the bytes of a dataset
 DEFAULT_FPS = 10.0  # neighbouring frames of 30 are nearly alike and cost three times the rays
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from prtnet.cores import use_threads
+from prtnet.cores import computing_threads, use_threads
 from prtnet.errors import PrtnetError
 from prtnet.limits import MOST_FACTORS, MOST_THREADS, check_within
 from prtnet.provenance import made_with
@@ -145,7 +144,7 @@ def one(
     facts = {**told, **rows.facts(), "made_with": made_with(*PACKAGES)}
     kept = surface, rows.view, options.texels, options.compression(), facts, report
     place = exchange()
-    with ThreadPoolExecutor(threads) as pool:
+    with computing_threads(threads) as pool:
         if place is None:
             segments = partial(transfer_segments, surface, seen, rows, threads)
             return compress(segments, *kept, pool.map)

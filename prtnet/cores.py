@@ -10,6 +10,7 @@ from typing import Protocol, TypeVar
 
 __all__ = [
     "Each",
+    "computing_threads",
     "core_count",
     "lasting_threads",
     "one_by_one",
@@ -24,8 +25,8 @@ B = TypeVar("B")
 class Each(Protocol):
     """Does the same to every piece, and gives what comes of each in order.
 
-    ``ThreadPoolExecutor.map`` does it in threads. Where pieces do not hang on how many there are
-    of these, and each computes by one thread, so do results not.
+    ``computing_threads(n).map`` does it in threads. Where pieces do not hang on how many there
+    are of these, results do not either.
     """
 
     def __call__(self, work: Callable[[A], B], pieces: Iterable[A], /) -> Iterable[B]:
@@ -62,6 +63,16 @@ def use_blas_threads(count: int) -> None:
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     threadpool_limits(count, user_api="blas")
+
+
+def computing_threads(count: int) -> ThreadPoolExecutor:
+    """So many threads; torch computes by one in each, as NumPy and SciPy after ``use_threads(1)``.
+
+    What torch was told in another thread, MKL heeds in a new one only after its first products.
+    """
+    import torch
+
+    return ThreadPoolExecutor(count, "computing", torch.set_num_threads, (1,))
 
 
 @functools.cache

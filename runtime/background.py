@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any, Generic, TypeVar
 
-__all__ = ["Background"]
+__all__ = ["TRACERS", "Background"]
 
 T = TypeVar("T")
 
@@ -19,17 +20,27 @@ NICE = 10  # of 19
 def step_back() -> None:
     """Let this thread, and those that it begins, have what the frames leave of the processors."""
     if sys.platform.startswith("linux"):  # elsewhere threads have no priority of this kind
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+        own = threading.get_native_id()
+        with contextlib.suppress(OSError):  # it is not allowed everywhere
+            was = os.getpriority(os.PRIO_PROCESS, own)
+            os.setpriority(os.PRIO_PROCESS, own, max(was, NICE))
 
 
-# More threads than a viewer makes things at once.
+# More threads than a viewer makes things at once; and those that trace, which goes on for what is
+# not shown any more, so that nothing else waits for them.
 WORKERS = ThreadPoolExecutor(8, "background", step_back)
+TRACERS = ThreadPoolExecutor(8, "truth", step_back)
 
 
 class Background(Generic[T]):
-    """The last thing asked for, made beside the frames; one at a time."""
+    """The last thing asked for, made beside the frames; one at a time.
 
-    def __init__(self) -> None:
+    Args:
+        workers: threads that make it.
+    """
+
+    def __init__(self, workers: Executor = WORKERS) -> None:
+        self.workers = workers
         self.key: Any = None
         self.future: Future[T] | None = None
 
@@ -62,7 +73,7 @@ class Background(Generic[T]):
     def begin(self, key: Any, make: Callable[[], T]) -> None:
         """Ask for something, unless something else is being made."""
         if self.key != key and not self.busy:
-            self.key, self.future = key, WORKERS.submit(make)
+            self.key, self.future = key, self.workers.submit(make)
 
     def known(self, key: Any) -> T | None:
         """What was asked for under this key if it is there; nothing is begun."""
@@ -71,8 +82,12 @@ class Background(Generic[T]):
             return None
         return self.future.result()
 
+    def cancelled(self) -> bool:
+        """Let what is not begun be, and tell whether it was not."""
+        return self.future is not None and self.future.cancel()
+
     def release(self) -> None:
         """Forget what was made; what is being made is waited for."""
-        if self.future is not None and not self.future.cancel():
+        if self.future is not None and not self.cancelled():
             self.future.exception()
         self.key = self.future = None

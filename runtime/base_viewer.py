@@ -39,7 +39,7 @@ __all__ = [
 
 T = TypeVar("T")
 Steps = Generator[None, None, T]
-"""Work that is done in as many frames, and what comes of it."""
+"""Work that is done in frames, as far as the next ``yield`` in each, and what comes of it."""
 S = TypeVar("S", bound=Sight[Any])
 V = TypeVar("V", bound=Outlook)
 D = TypeVar("D", bound="BaseDesk")
@@ -139,6 +139,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
         help: keys, and what they do.
         opens: the name of the file that is being opened.
         trial: what is shown has not been drawn yet; if it cannot be, what was there comes back.
+        replacing: what was shown before has not been given back yet.
         leaving: what is still being made of what is shown no more; nobody waits for it until the
             window is closed.
         kinds: of files that may fall on the window, by their suffix: one of ``CHANGED``, or what
@@ -159,7 +160,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
         self.saving: Iterator[str] | None = None
         self.opening: Background[Any] = Background()
         self.opens = ""
-        self.trial = False
+        self.trial = self.replacing = False
         self.leaving: list[Background[Any]] = []
         self.finish: Steps[None] | None = None  # to open what is being opened
         view.playing = True
@@ -203,7 +204,9 @@ class BaseViewer(ABC, Generic[S, V, D]):
         """One frame, so many seconds after the last."""
         self.window.use()
         self.imgui.get_io().delta_time = max(elapsed, 1e-4)
-        if self.saving is None and min(self.window.buffer_size) and not self.opening.busy:
+        self.leaving = [task for task in self.leaving if task.busy]
+        ready = min(self.window.buffer_size) and not (self.opening.busy or self.trial)
+        if ready and self.saving is None:
             self.open_on()
         if self.saving is not None:
             self.save_on()
@@ -281,14 +284,15 @@ class BaseViewer(ABC, Generic[S, V, D]):
         show = make()
         try:
             yield
+            self.stop_saving()
+            new = adapted()
         except BaseException:
             show.release()
             raise
-        self.stop_saving()
         gone, view, good, first = self.show, dataclasses.replace(self.view), self.good, self.first
-        self.show, self.trial = show, True
-        vars(self.view).update(vars(adapted()))
-        self.good, self.first = dataclasses.replace(self.view), dataclasses.replace(self.view)
+        self.show, self.trial, self.replacing = show, True, True
+        vars(self.view).update(vars(new))
+        self.good, self.first = new, dataclasses.replace(new)
         try:
             yield
         except Exception:  # of drawing it
@@ -297,9 +301,8 @@ class BaseViewer(ABC, Generic[S, V, D]):
             self.good, self.first = good, first
             raise
         finally:
-            self.trial = False
-            tasks = *self.leaving, *gone.leave()
-            self.leaving = [task for task in tasks if task.busy]
+            self.trial = self.replacing = False
+            self.leaving += gone.leave()
 
     def key(self, key: Any, action: Any, modifiers: Any) -> None:
         """A key went down or up."""
@@ -430,15 +433,22 @@ class BaseViewer(ABC, Generic[S, V, D]):
                 self.finish = None
 
     def opened(self) -> None:
-        """Show what is being opened, if anything is; it is waited for."""
+        """Show what is being opened, if anything is; it is waited for.
+
+        In a window that is minimised it waits until it can be drawn.
+        """
         while self.finish is not None:
-            self.open_on()
             if self.trial:
                 self.picture()
+            if self.trial:
+                return
+            self.open_on()
 
     def save(self, recorder: Callable[[Any], Iterator[str]]) -> None:
         """Begin to save something, a picture a step; ``runtime.recording`` has what there is."""
         self.stop_saving()
+        if self.replacing and not self.trial:
+            self.open_on()  # a movie takes long
         self.view.playing = False  # what is traced is this pose
         self.saving = recorder(self)
 

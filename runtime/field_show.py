@@ -20,7 +20,7 @@ from prtnet.errors import PrtnetError
 from prtnet.lobe_field import LobeField
 from prtnet.lobe_fit import exact_field, lobe_field
 from prtnet.transfer import TransferField
-from runtime.background import Background
+from runtime.background import TRACERS, Background
 from runtime.camera import Camera
 from runtime.field_cast import FieldCast
 from runtime.field_shot import seen_from_origin
@@ -52,7 +52,7 @@ class FieldShow(Sight[FieldView]):
     ) -> None:
         self.cast = cast
         self._fitting: Background[LobeField] = Background()
-        self._tracing: Background[LobeField] = Background()
+        self._tracing: Background[LobeField] = Background(TRACERS)
         self._fitted: dict[int, LobeField] = {}  # by the number of lobes; 0 for all that it takes
         self._stages: dict[Any, tuple[LobeField, LobeStage, GPUTimer]] = {}
         self._canvas: tuple[Any, Canvas] | None = None

@@ -22,7 +22,7 @@ from prtnet.materials import brdf_named, material
 from prtnet.one_dimensional import OneDimensional
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
-from runtime.background import Background
+from runtime.background import TRACERS, Background
 from runtime.camera import Camera
 from runtime.cast import Cast
 from runtime.crowd import crowd_places, crowd_poses
@@ -76,8 +76,8 @@ class Show(Sight[View]):
         self.cast, self.actor, self.studio = cast, cast.actor, studio
         self.order = cast.actor.model.order
         self.error_top = 0.0
-        self._truth: Background[FloatArray] = Background()
-        self._radiance: Background[FloatArray] = Background()
+        self._truth: Background[FloatArray] = Background(TRACERS)
+        self._radiance: Background[FloatArray] = Background(TRACERS)
         self._posed: tuple[Any, FloatArray] | None = None
         self._subject: tuple[Any, Subject] | None = None
         self._predicted: tuple[Any, FloatArray] | None = None

@@ -138,7 +138,8 @@ class Sight(ABC, Generic[V]):
         for held in self._made:
             held.release()
         self._made = []
-        return [task for task in self.tasks.values() if task.busy and task not in self.lasting]
+        own = [task for task in self.tasks.values() if task not in self.lasting]
+        return [task for task in own if task.busy and not task.cancelled()]
 
     def memory(self) -> dict[str, int]:
         """Bytes by what takes them: files, parts of the GPU's memory, the process."""

@@ -74,7 +74,7 @@ CAN_KILL = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is n
 def test_a_worker_that_is_killed_changes_no_byte(cluster: Any, scene: Path, tmp_path: Path) -> None:
     told: list[int] = []
 
-    def kill_one(done: int, total: int) -> None:
+    def kill_one(_: str, done: int, total: int, __: str = "") -> None:
         told.append(done)
         if done == 4:
             kill_a_worker(cluster)
@@ -106,7 +106,7 @@ def test_a_dataset_in_a_store(cluster: Any, scene: Path, tmp_path: Path) -> None
     url = f"farm://{tmp_path}/farm/a.zarr"
     where: Any = {"cluster": cluster.scheduler_address, "source": scene}
 
-    def kill_one(done: int, _: int) -> None:
+    def kill_one(_: str, done: int, total: int, __: str = "") -> None:
         if done == 4:
             kill_a_worker(cluster)
 

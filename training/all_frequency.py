@@ -46,6 +46,7 @@ __all__ = [
 
 MOST = 32767  # what a number of 16 bits holds, on either side
 TURNS = 60  # of representatives towards their large numbers; ten fewer cost one in a hundred bytes
+TURNED = 8  # clusters at a time
 HALVINGS = 32
 SPARE = 0.1  # of what clusters lose, at least, is left for numbers that are left out
 
@@ -238,13 +239,15 @@ def sparse_wavelets(
     Args:
         found: clusters of segments.
         error: see :class:`CompressConfig`.
-        each: goes through segments.
+        each: goes through clusters, some at a time.
     """
     energy, lost = sum(one.energy for one in found), sum(one.lost for one in found)
     room = max(error * energy - lost, SPARE * lost)
     wavelets = [one.wavelets for one in found]
     least = limit(wavelets, room)
-    wavelets = list(each(lambda one: turned(one, least), wavelets))
+    for number, one in enumerate(wavelets):
+        pieces = np.split(one, range(TURNED, len(one), TURNED))
+        wavelets[number] = np.concatenate(list(each(lambda own: turned(own, least), pieces)))
     least = limit(wavelets, room)
     left = [below(one, least) for one in wavelets]
     for number, one in enumerate(wavelets):

@@ -241,7 +241,7 @@ def sketch(points: torch.Tensor, width: int, seed: int, each: Each = one_by_one)
     """Points (V, D) in ``width`` numbers: nearly their leading principal components.
 
     The range of a random matrix after one step of subspace iteration (Halko, Martinsson and Tropp
-    2011, algorithm 4.4).
+    2011, algorithm 4.4). ``each`` goes through blocks of points.
     """
     if min(points.shape) <= width:
         return points
@@ -286,6 +286,7 @@ def cluster_points(
     From k-means, clusters of a mean and no axis, the number of axes is doubled until it is n, so
     that early rounds tell apart what is far apart. All of it happens in a sketch of the points: an
     error in it costs a point the second best cluster, and nothing of what is kept of the point.
+    ``each`` goes through clusters and blocks of points.
     """
     clusters = min(config.clusters, len(points))
     if clusters < 2:

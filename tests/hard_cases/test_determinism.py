@@ -1,4 +1,4 @@
-"""The same command on the same machine writes the same bytes; with more threads, nearly those."""
+"""The same command on the same machine writes the same bytes; with more threads, models nearly."""
 
 from __future__ import annotations
 

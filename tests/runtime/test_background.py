@@ -2,11 +2,53 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from runtime.background import Background
+from runtime.background import NICE, TRACERS, Background, step_back
+
+LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="no priorities of threads")
+
+
+def priority() -> int:
+    return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+
+@LINUX
+@pytest.mark.parametrize("task", [Background(), Background(TRACERS)])
+def test_frames_come_first(task: Background[int]) -> None:
+    before = priority()
+    assert task.get("a", priority, wait=True) == max(before, NICE)
+    assert priority() == before
+    task.release()
+
+
+@LINUX
+def test_threads_that_may_not_step_back_work_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: int) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "setpriority", refused)
+    with ThreadPoolExecutor(1, initializer=step_back) as pool:
+        assert pool.submit(int, "7").result() == 7
+
+
+def test_what_is_not_begun_is_let_be() -> None:
+    gate = threading.Event()
+    with ThreadPoolExecutor(1) as pool:
+        first: Background[bool] = Background(pool)
+        second: Background[bool] = Background(pool)
+        first.begin("a", gate.wait)
+        second.begin("b", gate.wait)
+        try:
+            assert [task.cancelled() for task in (first, second)] == [False, True]
+            assert [task.busy for task in (first, second)] == [True, False]
+        finally:
+            gate.set()
 
 
 def test_an_error_is_told_once_and_what_is_wanted_again_is_made_again():

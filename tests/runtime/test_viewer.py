@@ -851,6 +851,39 @@ def test_a_viewer_that_is_closed_while_another_is_made_gives_both_back(
     assert released[0] is not shown
 
 
+def test_what_was_there_is_given_back_before_a_movie_is_saved(viewer, monkeypatch):
+    gone, leave, shown = [], Show.leave, viewer.show
+    monkeypatch.setattr(Show, "leave", lambda *given: (gone.append(given[0]), leave(*given))[1])
+    viewer.dropped(0, 0, ["one.safetensors"])
+    viewer.opening.future.exception()
+    viewer.step(0.0)
+    viewer.step(0.0)
+    assert gone == []
+    press(viewer, "T")
+    assert gone == [shown]
+    assert viewer.saving is not None
+    viewer.stop_saving()
+    viewer.opened()
+
+
+def test_a_minimised_window_shows_another_when_it_can_be_drawn(viewer, monkeypatch):
+    shown, draw, drawn = viewer.show, Show.draw, []
+    monkeypatch.setattr(Show, "draw", lambda *given: (drawn.append(given[0]), draw(*given))[1])
+    with monkeypatch.context() as patch:
+        patch.setattr(type(viewer.window), "buffer_size", (0, 0))
+        viewer.dropped(0, 0, ["one.safetensors"])
+        viewer.opened()
+        viewer.step(0.0)
+        assert viewer.trial
+        assert drawn == []
+    viewer.step(0.0)
+    assert not viewer.trial
+    assert drawn == [viewer.show]
+    assert viewer.show is not shown
+    viewer.opened()
+    assert viewer.finish is None
+
+
 @pytest.mark.parametrize("waited", [False, True])
 def test_another_that_cannot_be_drawn_is_not_shown(viewer, monkeypatch, waited):
     shown, released, draw, leave = viewer.show, [], Show.draw, Show.leave
