@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from prtnet.cores import computing_threads
 from training.cpca import (
     Components,
     CpcaConfig,
@@ -130,7 +130,7 @@ def test_no_byte_depends_on_the_number_of_threads(
     alone = vars(clustered_components(points, config))
     asked: list[int] = []
     for threads in (2, 5):
-        with ThreadPoolExecutor(threads) as pool:
+        with computing_threads(threads) as pool:
 
             def each(work: Callable[[Any], Any], pieces: Iterable[Any]) -> Iterable[Any]:
                 listed = list(pieces)
