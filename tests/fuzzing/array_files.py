@@ -128,12 +128,13 @@ def bomb(archive: zipfile.ZipFile) -> None:
     """Positions of zeros that unpack to a thousand times what they take."""
     entry = zipfile.ZipInfo("positions.npy")
     entry.compress_type = zipfile.ZIP_DEFLATED
-    with warnings.catch_warnings(), archive.open(entry, "w") as file:
+    header = {"descr": "<f4", "fortran_order": False, "shape": (1, BOMB << 20, 3)}
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # another entry has that name
-        header = {"descr": "<f4", "fortran_order": False, "shape": (1, BOMB << 20, 3)}
-        np.lib.format.write_array_header_1_0(file, header)
-        for _ in range(12 * BOMB):
-            file.write(bytes(1 << 20))
+        with archive.open(entry, "w") as file:
+            np.lib.format.write_array_header_1_0(file, header)
+            for _ in range(12 * BOMB):
+                file.write(bytes(1 << 20))
 
 
 def npz(files: Files, rng: random.Random) -> Files:
@@ -169,7 +170,6 @@ def npz(files: Files, rng: random.Random) -> Files:
 
 def with_another(archive: zipfile.ZipFile, name: str, array: Any) -> None:
     """A second entry of the same name."""
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         archive.writestr(name, npy(array, random.Random(0)))

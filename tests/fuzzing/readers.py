@@ -81,7 +81,10 @@ class Reader:
 
     def case(self, seed: object) -> Files:
         """The damaged files of a seed."""
-        rng = random.Random(str(seed))
+        return self.drawn(random.Random(str(seed)))
+
+    def drawn(self, rng: random.Random) -> Files:
+        """The damaged files that come of what is drawn: by chance, or by Hypothesis."""
         files = dict(rng.choice(self.sound))
         (name, data), *_ = files.items()
         if isinstance(data, bytes) and rng.random() < STRETCHED:
