@@ -5,6 +5,7 @@ What cannot be shown is told in the window, and what was there stays.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -30,11 +31,12 @@ def recast(viewer: Viewer, found: Mapping[str, Path]) -> None:
     files = {"model": desk.model, "scene": desk.scene, **viewer.waiting_files, **found}
 
     opened = partial(desk.open_files, files["model"], files["scene"])
-    clip = viewer.view.clip
+    view, studio = dataclasses.replace(viewer.view), viewer.show.studio
 
     def make() -> Cast:
         cast = opened()
-        cast.ready(clip)
+        cast.ready(view.clip)
+        studio.prepare(view, cast.actor.model.order)
         return cast
 
     def take(cast: Cast) -> Steps[str]:

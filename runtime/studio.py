@@ -8,10 +8,12 @@ from typing import Any
 from prtnet.brdf import BRDF
 from prtnet.environment import Environment
 from prtnet.materials import brdf_named, material
+from prtnet.one_dimensional import OneDimensional
 from prtnet.reflection import ReflectionOperator
 from prtnet.zh import Lobes
 from runtime.background import Background
 from runtime.looks import lobes_of
+from runtime.view import View
 
 __all__ = ["Studio"]
 
@@ -54,6 +56,19 @@ class Studio:
             self._brdf = (name, lobes), brdf_named(name, lobes)
         return self._brdf[1]
 
+    def prepare(self, view: View, order: int) -> None:
+        """Make the light and the material of a view in so many bands, if there are none of these.
+
+        Here, not in the background: it may be called beside the frames, which then have what they
+        would wait for.
+        """
+        key = view.light, order, view.lobes
+        if key not in self._fits:
+            self._fits[key] = self._fitted(*key)
+        brdf = brdf_named(view.brdf, of_lobes=True)
+        if order not in self._operators and not isinstance(brdf, OneDimensional):
+            self._operators[order] = material(brdf, view.factors, order)
+
     def operator(
         self, name: str, brdf: BRDF, factors: int, order: int, wait: bool = False
     ) -> ReflectionOperator:
@@ -83,11 +98,15 @@ class Studio:
         key = name, order, count
 
         def fit() -> Lobes:
-            found = lobes_of(self.environments(name).harmonics(order), count)
+            found = self._fitted(*key)
             self._fits[key] = found  # also if another light is asked for meanwhile
             return found
 
         return self._fits[key] if key in self._fits else self._fitting.get(key, fit, wait)
+
+    def _fitted(self, name: str, order: int, count: int | None) -> Lobes:
+        """The lobes of a light, fitted here."""
+        return lobes_of(self.environments(name).harmonics(order), count)
 
     def release(self) -> None:
         """Wait for what is being made."""

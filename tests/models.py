@@ -67,6 +67,7 @@ def random_model(
     parts: int = 1,
     clamped: bool = True,
     lobes: int = 0,
+    order: int = 3,
 ) -> VisibilityModel:
     """A model whose every array is random, with groups of unequally many latents.
 
@@ -77,7 +78,7 @@ def random_model(
     rng = np.random.default_rng(seed)
     seen = random_features(features, joints, clusters, feature_order, seed)
     width = seen(random_poses(1, joints, morphs)).shape[-1]
-    order, inputs, neurons, most = 3, 4, 6, 5
+    inputs, neurons, most = 4, 6, 5
     groups = clusters * parts
     capacity = -(-receivers // groups)
     slots = np.full(groups * capacity, -1, dtype=np.int32)

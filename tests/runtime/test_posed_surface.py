@@ -13,9 +13,11 @@ from runtime.shading import world_transfer
 from tests.models import random_model
 
 
-def modelled(scene: SkinnedScene, two_sided: bool, lobes: int = 0) -> ModelledScene:
+def modelled(scene: SkinnedScene, two_sided: bool, lobes: int = 0, order: int = 3) -> ModelledScene:
     receivers = scene.receivers(two_sided)
-    model = random_model(joints=scene.joint_count, receivers=len(receivers), lobes=lobes)
+    model = random_model(
+        joints=scene.joint_count, receivers=len(receivers), lobes=lobes, order=order
+    )
     model.rest_tangents[:] = rest_tangents(scene, receivers)
     model.metadata.update(mesh_sha256=scene.mesh_sha256, two_sided=two_sided)
     return ModelledScene(model, scene)

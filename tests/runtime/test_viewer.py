@@ -23,6 +23,7 @@ from prtnet.cli_view import cast_of, opened_viewer
 from prtnet.environment import environment
 from prtnet.errors import PrtnetError
 from prtnet.gpu_tables import gpu_tables
+from prtnet.materials import material
 from prtnet.modelled_scene import Moment
 from runtime import recording
 from runtime.base_viewer import open_window
@@ -882,6 +883,29 @@ def test_a_minimised_window_shows_another_when_it_can_be_drawn(viewer, monkeypat
     assert viewer.show is not shown
     viewer.opened()
     assert viewer.finish is None
+
+
+def test_light_and_material_of_another_order_are_made_beside_the_frames(viewer, monkeypatch):
+    made, main = [], threading.current_thread()
+
+    def beside(real: Any, name: str) -> Any:
+        def make(*given: Any, **named: Any) -> Any:
+            made.append((name, threading.current_thread() is main))
+            return real(*given, **named)
+
+        return make
+
+    viewer.step(0.0)
+    monkeypatch.setattr("runtime.studio.lobes_of", beside(lobes_of, "light"))
+    monkeypatch.setattr("runtime.studio.material", beside(material, "material"))
+    other = cast(modelled(arm(segments=6), False, order=5))
+    viewer.desk.open_files = lambda *_: other
+    viewer.dropped(0, 0, ["one.safetensors"])
+    while viewer.finish is not None:
+        viewer.step(0.0)
+    assert viewer.show.order == 5
+    assert sorted(made) == [("light", False), ("material", False)]
+    assert np.ptp(read(viewer)) > 60
 
 
 @pytest.mark.parametrize("waited", [False, True])
