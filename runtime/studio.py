@@ -34,7 +34,8 @@ class Studio:
         self._fits: dict[tuple[str, int, int | None], Lobes] = {}  # a few KB each
         self._fitting: Background[Lobes] = Background()
         self._making: Background[ReflectionOperator] = Background()
-        self._operators: dict[int, ReflectionOperator] = {}  # by order, the last made of each
+        # By order, the last made of each, and of what.
+        self._operators: dict[int, tuple[tuple[str, int], ReflectionOperator]] = {}
         self._brdf: tuple[tuple[str, bool], BRDF] | None = None
 
     @property
@@ -67,20 +68,22 @@ class Studio:
             self._fits[key] = self._fitted(*key)
         brdf = brdf_named(view.brdf, of_lobes=True)
         if order not in self._operators and not isinstance(brdf, OneDimensional):
-            self._operators[order] = material(brdf, view.factors, order)
+            made = material(brdf, view.factors, order)
+            self._operators[order] = (view.brdf, view.factors), made
 
     def operator(
         self, name: str, brdf: BRDF, factors: int, order: int, wait: bool = False
     ) -> ReflectionOperator:
         """A material of so many factors and bands; until it is made the last one of that order."""
-        found = self._making.get(
-            (name, factors, order),
-            lambda: material(brdf, factors, order),
-            wait or order not in self._operators,
-        )
-        if found is not None:
-            self._operators[order] = found
-        return self._operators[order]
+        last = self._operators.get(order)
+        if last is None or last[0] != (name, factors):
+            found = self._making.get(
+                (name, factors, order), lambda: material(brdf, factors, order), wait or last is None
+            )
+            if found is not None:
+                last = self._operators[order] = (name, factors), found
+        assert last is not None
+        return last[1]
 
     def fitted(self, name: str, order: int, count: int | None) -> bool:
         """Whether the lobes of a light are there."""

@@ -357,7 +357,8 @@ def test_what_fails_while_a_picture_is_drawn_is_told_by_the_next(viewer, monkeyp
 
     def slow(*given: Any) -> None:
         draw(*given)
-        viewer.show.studio._making.future.exception()
+        if (making := viewer.show.studio._making.future) is not None:
+            making.exception()
 
     monkeypatch.setattr(viewer.show, "draw", slow)
     viewer.picture()
@@ -954,7 +955,7 @@ def test_a_change_that_the_next_cannot_show_keeps_what_is_there(viewer):
 
 def test_nobody_waits_for_what_is_traced_for_a_character_that_is_gone(viewer, monkeypatch):
     gate, shown = threading.Event(), viewer.show
-    shown.cast = dataclasses.replace(shown.cast, trace=lambda _: gate.wait(5.0))
+    shown.cast = dataclasses.replace(shown.cast, trace=lambda _: gate.wait(60.0))
     viewer.view.left = "visibility"
     viewer.step(0.0)
     assert shown.waiting == "tracing visibility"
