@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol, TypeVar
 
@@ -14,6 +15,7 @@ __all__ = [
     "core_count",
     "lasting_threads",
     "one_by_one",
+    "one_thread",
     "use_blas_threads",
     "use_threads",
 ]
@@ -63,6 +65,15 @@ def use_blas_threads(count: int) -> None:
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
     threadpool_limits(count, user_api="blas")
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Have every library that is there compute by one thread: where rounding decides who wins."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        yield
 
 
 def computing_threads(count: int) -> ThreadPoolExecutor:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from prtnet.array_library import library
+from prtnet.cores import one_thread
 
 if TYPE_CHECKING:
     from prtnet.arrays import FloatArray, IntArray
@@ -92,7 +93,8 @@ def fit_spheres(
         local = (own - offset) @ np.linalg.pinv(linear.astype(np.float64)).T
         wanted = int(np.clip(round(count * len(own) / len(positions)), 1, most_per_joint))
         wanted = min(wanted, len(np.unique(local, axis=0)))
-        label = KMeans(wanted, n_init=4, random_state=seed).fit_predict(local)
+        with one_thread():
+            label = KMeans(wanted, n_init=4, random_state=seed).fit_predict(local)
         for part in range(wanted):
             members = local[label == part]
             centre = members.mean(axis=0)

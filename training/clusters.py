@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.cores import one_thread
 
 __all__ = [
     "assign_balanced",
@@ -78,7 +79,8 @@ def balanced_clusters(
     clusters = min(clusters, len(points))
     capacity = -(-len(points) // clusters)
     distinct = min(clusters, len(np.unique(points, axis=0)))
-    start = KMeans(distinct, n_init=1, max_iter=20, random_state=seed).fit(points)
+    with one_thread():
+        start = KMeans(distinct, n_init=1, max_iter=20, random_state=seed).fit(points)
     centres = start.cluster_centers_[np.arange(clusters) % distinct]
     label: IntArray = np.zeros(len(points), dtype=np.int64)
     for _ in range(rounds):

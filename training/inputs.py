@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.cores import one_thread
 from prtnet.features import (
     DihedralAngles,
     JointAngles,
@@ -107,7 +108,8 @@ def reference_points(
     from sklearn.cluster import KMeans
 
     distinct = min(count, len(np.unique(positions, axis=0)))
-    parts = KMeans(distinct, n_init=2, random_state=0).fit(positions.astype(np.float64))
+    with one_thread():
+        parts = KMeans(distinct, n_init=2, random_state=0).fit(positions.astype(np.float64))
     normal = np.zeros((distinct, 3))
     np.add.at(normal, parts.labels_, normals)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)

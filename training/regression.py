@@ -18,6 +18,7 @@ from torch import Tensor
 from prtnet.errors import PrtnetError
 from prtnet.exchange import Exchange, Given, Result, exchange
 from training.lbfgs import NOT_FINITE, Objective, minimise
+from training.runs import OnIteration, in_runs
 
 __all__ = [
     "Fit",
@@ -27,8 +28,6 @@ __all__ = [
     "fit_neural",
     "total_iterations",
 ]
-
-OnIteration = Callable[[int, Tensor], None]
 
 CLOSED_FORM, CONSTANT = "closed form", "constant"
 START_ALPHA = 1e-2  # of the ridge regression that networks start near
@@ -328,8 +327,8 @@ class Networks:
     ) -> Fit:
         """The fits of inputs (A, P, K) to targets (A, P, L), all in one batch.
 
-        Clusters do not see each other: a block of them, from the ``first`` on out of ``of``, has
-        the bytes that it has in the batch of all, whatever the number of threads.
+        Clusters do not see each other: computed by one thread, a block of them, from the ``first``
+        on out of ``of``, has the bytes that it has in the batch of all.
         """
         objective = projected_objective(x, t, self.neurons, self.alpha)
         generator = torch.Generator().manual_seed(self.seed)
@@ -392,7 +391,20 @@ def fit_in_blocks(
         if on_iteration is not None:
             losses = torch.cat([fit.loss for fit in found.values()])
             on_iteration(max(1, limit * len(found) // blocks) - 1, losses)
-    fits = [found[number] for number in range(blocks)]
+    return joined([found[number] for number in range(blocks)])
+
+
+def fit_in_threads(how: Networks, x: Tensor, t: Tensor, on_iteration: OnIteration | None) -> Fit:
+    """As ``how(x, t)`` by one thread, by all that torch has."""
+
+    def fit(first: int, end: int, told: OnIteration) -> Fit:
+        return how(x[first:end], t[first:end], told, first, len(x))
+
+    return joined(in_runs(fit, len(x), torch.get_num_threads(), on_iteration))
+
+
+def joined(fits: Sequence[Fit]) -> Fit:
+    """Fits of networks of some clusters after others."""
     tensors = {name: torch.cat([getattr(fit, name) for fit in fits]) for name in TENSORS}
     return Fit(**tensors, status=[text for fit in fits for text in fit.status])
 
@@ -429,6 +441,8 @@ def fit_neural(
     def fit(x: Tensor, t: Tensor, _: Tensor) -> Fit:
         if place is not None:
             return fit_in_blocks(place, how, x, t, on_iteration)
+        if x.device.type == "cpu":
+            return fit_in_threads(how, x, t, on_iteration)
         return how(x, t, on_iteration)
 
     return fit_varying(inputs, targets, fit)

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.cores import one_thread
 from prtnet.dataset import Dataset
 from prtnet.features import joint_matrices
 from prtnet.occluders import fit_spheres
@@ -118,7 +119,8 @@ def skin_patches(
     distinct = min(count, len(np.unique(where, axis=0)))
     means = MiniBatchKMeans(distinct, n_init=1, max_iter=30, batch_size=4096, random_state=seed)
     share = area if area.max() > 0 else None
-    label = means.fit_predict(where, sample_weight=share)
+    with one_thread():
+        label = means.fit_predict(where, sample_weight=share)
     return np.unique(label, return_inverse=True)[1]
 
 
