@@ -171,7 +171,7 @@ def test_train_on_a_cluster(cluster: Any, scene: Path, tmp_path: Path) -> None:
     data, out = tmp_path / "a.zarr", tmp_path / "a.safetensors"
     generate(read_scene(scene), dataclasses.replace(CONFIG, count=5), data)
     words = ["train", str(data), "--preset", "small", "--alpha", "0.01", "--iterations", "9"]
-    words += ["--threads", "1"]
+    words += ["--threads", "3"]
     address = ["--cluster", cluster.scheduler_address, "--quiet"]
     assert run([*words, *address, "--out", str(out)]) == 0
     assert run([*words, "--quiet", "--out", str(tmp_path / "b.safetensors")]) == 0

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import scipy.linalg
+import torch
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from prtnet.arrays import FloatArray, IntArray
 
 __all__ = ["OutputReduction", "input_reduction", "reduce_output"]
 
-
+T = TypeVar("T")
 ROUNDING = 1e-12  # variance below this fraction of the signal's is float32's, not the scene's
 
 
@@ -90,27 +95,43 @@ def reduce_output(
 
     energy = float(np.mean(np.square(visibility[:: max(1, poses // 16)]), dtype=np.float64))
     noise = ROUNDING * energy * width
-    for cluster in range(len(slots)):
+
+    def squares(cluster: int) -> None:
         _, gram = deviations(cluster)
         eigenvalues = np.linalg.eigvalsh(gram)
         values[cluster, : len(gram)] = np.where(eigenvalues > noise, eigenvalues, 0.0)[::-1]
         values[cluster, poses - 1 :] = 0.0  # deviations from a mean have one rank less
+
+    each_cluster(squares, len(slots))
     latents = choose_counts(values, variance, average, step)
     targets = np.zeros((len(slots), poses, int(latents.max(initial=0))), dtype=np.float32)
-    basis = []
-    for cluster, count in enumerate(latents):
+
+    def components(cluster: int) -> FloatArray:
         block, gram = deviations(cluster)
+        count = latents[cluster]
         rows = np.zeros((0, width))
         if count > 0:
             last = len(gram) - 1
-            _, found = scipy.linalg.eigh(gram, subset_by_index=(last + 1 - count, last))
-            rows = found.T[::-1]
+            _, vectors = scipy.linalg.eigh(gram, subset_by_index=(last + 1 - count, last))
+            rows = vectors.T[::-1]
             if poses <= width:  # components = Vᵀ X / √(P λ): orthonormal rows
                 scale = 1.0 / np.sqrt(poses * np.maximum(values[cluster, :count, None], 1e-300))
                 rows = (rows @ block) * scale
-        basis.append(rows.astype(np.float32))
-        targets[cluster, :, :count] = block @ basis[-1].T
-    return OutputReduction(mean, basis, latents, targets)
+        found = rows.astype(np.float32)
+        targets[cluster, :, :count] = block @ found.T
+        return found
+
+    return OutputReduction(mean, each_cluster(components, len(slots)), latents, targets)
+
+
+def each_cluster(work: Callable[[int], T], clusters: int) -> list[T]:
+    """What comes of every cluster: in as many threads as torch has, by one of BLAS each.
+
+    So their number decides no byte.
+    """
+    threads = torch.get_num_threads()
+    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(work, range(clusters)))
 
 
 def input_reduction(
@@ -126,7 +147,12 @@ def input_reduction(
     table = table.astype(np.float64)
     mean = table.mean(axis=1)
     centred = table - mean[:, None]
-    _, singular, rows = np.linalg.svd(centred, full_matrices=False)
+
+    def decomposed(cluster: int) -> tuple[FloatArray, FloatArray]:
+        return np.linalg.svd(centred[cluster], full_matrices=False)[1:]
+
+    found = each_cluster(decomposed, len(centred))
+    singular, rows = (np.stack(part) for part in zip(*found, strict=True))
     eigenvalues, vectors = singular**2 / table.shape[1], np.swapaxes(rows, 1, 2)
     total = eigenvalues.sum(axis=1, keepdims=True)
     reached = np.cumsum(eigenvalues, axis=1) >= variance * total - 1e-15

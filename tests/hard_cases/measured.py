@@ -139,7 +139,7 @@ def keep_words(message: str) -> None:
     """Remember a refusal without the file that it names, which is another every time."""
     message = message.strip().removeprefix("prtnet: error: ")
     subject, _, rest = message.partition(": ")
-    message, line = rest if "/" in subject else message, caller().f_lineno
+    message, line = rest if rest and "/" in subject else message, caller().f_lineno
     message = re.sub(r"/[^\s']*/", "", message)
     CHECKS[line, message] = Check(line, "", message, REFUSED, 0.0)
 

@@ -23,7 +23,7 @@ THEMES = {
 }
 INTRODUCTION = """# Hard cases
 
-Written by `make hard`, which runs tests/hard_cases: input at which this kind of program usually breaks, each with what was measured and what is allowed. A case of many variants stands here with the variant that came nearest to its limit; a line of a case is a check of it, named by its source. *Type* is the precision that the case was run in, and `cuda` where it ran on a GPU; where none is given the code fixes it (float32 in files and pictures, float64 inside of fits). *Refused* cases must end in that one line. A case without a measure is a statement that holds, or the tests fail.
+Written by `make hard`, which runs tests/hard_cases: input at which this kind of program usually breaks, each with what was measured and what is allowed. A case of many variants stands here with the variant that came nearest to its limit; a line of a case is a check of it, named by its source. *Type* is the precision that the case was run in, and `cuda` where it ran on a GPU; where none is given the code fixes it (float32 in files and pictures, float64 inside of fits); where no case says `cuda`, there was no GPU. *Refused* cases must end in that one line. A case without a measure is a statement that holds, or the tests fail.
 """  # noqa: E501
 
 
