@@ -13,6 +13,7 @@ __all__ = [
     "Each",
     "computing_threads",
     "core_count",
+    "in_threads",
     "lasting_threads",
     "one_by_one",
     "one_thread",
@@ -84,6 +85,19 @@ def computing_threads(count: int) -> ThreadPoolExecutor:
     import torch
 
     return ThreadPoolExecutor(count, "computing", torch.set_num_threads, (1,))
+
+
+@contextlib.contextmanager
+def in_threads(count: int) -> Iterator[Each]:
+    """An ``Each`` of so many threads: every library computes by one in each, and beside them."""
+    import torch
+
+    before = torch.get_num_threads()
+    try:
+        with one_thread(), computing_threads(count) as pool:
+            yield pool.map
+    finally:
+        torch.set_num_threads(before)
 
 
 @functools.cache

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import torch
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.cores import in_threads, one_thread
 from prtnet.dataset import Dataset
 from prtnet.prior import MapPrior, NetworkPrior, Prior
 from prtnet.surroundings import Surroundings
@@ -57,7 +56,8 @@ def fit_prior(
         watch: told of progress.
     """
     watch.stage("what receivers see")
-    surroundings = fit_surroundings(dataset, poses, slots, config)
+    with one_thread():
+        surroundings = fit_surroundings(dataset, poses, slots, config)
     mean = visibility.mean(axis=0, dtype=np.float64).astype(np.float32)
     samples = draw_samples(
         surroundings, poses, visibility, mean, config.samples, config.seed,
@@ -92,6 +92,6 @@ def subtract(prior: Prior, poses: FloatArray, visibility: FloatArray, watch: Mon
     def work(row: int) -> None:
         visibility[row] -= prior(poses[row : row + 1])[0]
 
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-        for done, _ in enumerate(pool.map(work, range(len(poses))), start=1):
+    with in_threads(torch.get_num_threads()) as each:
+        for done, _ in enumerate(each(work, range(len(poses))), start=1):
             watch.progress(done, len(poses), 0.0)

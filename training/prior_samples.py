@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.cores import in_threads
 from prtnet.surroundings import Surroundings
 
 __all__ = ["Samples", "draw_samples"]
@@ -59,8 +59,8 @@ def draw_samples(
         return own, surroundings.at(poses[row], own), visibility[row, own] - mean[own]
 
     parts = []
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-        for done, part in enumerate(pool.map(work, range(len(poses))), start=1):
+    with in_threads(torch.get_num_threads()) as each_pose:
+        for done, part in enumerate(each_pose(work, range(len(poses))), start=1):
             parts.append(part)
             progress(done, len(poses))
     own, seen, deviation = (np.concatenate(column) for column in zip(*parts, strict=True))

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 import scipy.linalg
 import torch
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.cores import in_threads
 
 __all__ = ["OutputReduction", "input_reduction", "reduce_output"]
 
@@ -125,13 +124,9 @@ def reduce_output(
 
 
 def each_cluster(work: Callable[[int], T], clusters: int) -> list[T]:
-    """What comes of every cluster: in as many threads as torch has, by one of BLAS each.
-
-    So their number decides no byte.
-    """
-    threads = torch.get_num_threads()
-    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(work, range(clusters)))
+    """What comes of every cluster, in as many threads as torch has: their number has no say."""
+    with in_threads(torch.get_num_threads()) as each:
+        return list(each(work, range(clusters)))
 
 
 def input_reduction(

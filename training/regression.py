@@ -35,6 +35,7 @@ START_GAIN = 0.3  # how far into its bend a neuron sees at the start
 START_ELSEWHERE = 0.2  # weight of directions the ridge regression does not look along
 SCREENING = 20  # iterations after which restarts are compared
 CLUSTERS = 4  # of a block: fewer waste time on small products, more leave workers without any
+RUN = 2_000_000  # products of a layer for each thread: with fewer, threads wait for Python
 JITTER = 30.0  # roundings of the mean diagonal: keeps α = 0 with dependent columns solvable
 
 
@@ -395,12 +396,13 @@ def fit_in_blocks(
 
 
 def fit_in_threads(how: Networks, x: Tensor, t: Tensor, on_iteration: OnIteration | None) -> Fit:
-    """As ``how(x, t)`` by one thread, by all that torch has."""
+    """As ``how(x, t)`` by one thread, by as many of torch's as have enough to do."""
 
     def fit(first: int, end: int, told: OnIteration) -> Fit:
         return how(x[first:end], t[first:end], told, first, len(x))
 
-    return joined(in_runs(fit, len(x), torch.get_num_threads(), on_iteration))
+    worth = x.numel() * how.neurons // RUN
+    return joined(in_runs(fit, len(x), min(torch.get_num_threads(), max(worth, 1)), on_iteration))
 
 
 def joined(fits: Sequence[Fit]) -> Fit:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.cores import in_threads
 from prtnet.prior import saturated
 from training.prior_samples import Samples
 
@@ -39,11 +41,15 @@ def fit_maps(
     centred = both - mean[samples.receiver].astype(np.float32)
     own = cluster[samples.receiver]
     maps = np.zeros((clusters, both.shape[1], samples.deviation.shape[1]))
-    for index in np.unique(own):
+
+    def fit(index: int) -> None:
         x = centred[own == index].astype(np.float64)
         gram = x.T @ x
-        level = ridge * np.trace(gram) / len(gram)
+        level = ridge * np.trace(gram) / len(gram) if len(x) else 0.0
         if level > 0:
             right = x.T @ samples.deviation[own == index]
             maps[index] = np.linalg.solve(gram + level * np.eye(len(gram)), right)
+
+    with in_threads(torch.get_num_threads()) as each:
+        list(each(fit, range(clusters)))
     return maps.astype(np.float32)

@@ -3,21 +3,24 @@
 Its inputs are what :class:`prtnet.prior.NetworkPrior` describes. Each receiver's code starts from
 the principal components of its mean features and mean visibility, and is learned with the rest.
 The step follows one cosine; what is kept is a running mean of the weights.
+
+A batch's gradient is the sum of those of parts of a fixed size, one thread each, added in order:
+so the number of threads changes no byte.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from prtnet.arrays import FloatArray
+from prtnet.cores import Each, in_threads, one_by_one
 from prtnet.errors import PrtnetError
 from training.prior_samples import Samples
 
@@ -26,6 +29,7 @@ __all__ = ["Layers", "NetworkConfig", "fit_network"]
 WARM_UP = 200  # steps
 MEMORY = 0.998  # of the running mean of the weights
 QUIET = 1e-6  # a feature that varies less does not vary
+PART = 512  # samples of a batch whose gradient is one thread's
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,77 @@ def starting_codes(samples: Samples, mean: FloatArray, count: int) -> FloatArray
     return codes / max(float(codes.std()), QUIET)
 
 
+class Network:
+    """What is fitted, as it is now.
+
+    Attributes:
+        layers: weights (outputs, inputs) and biases (outputs,) of each.
+        code: of each receiver, (V, G).
+    """
+
+    def __init__(self, samples: Samples, mean: FloatArray, config: NetworkConfig, device: str):
+        self.generator = torch.Generator().manual_seed(config.seed)
+        self.features = torch.from_numpy(samples.features).to(device)
+        self.target = torch.from_numpy(samples.deviation).to(device)
+        self.receiver = torch.from_numpy(samples.receiver.astype(np.int64)).to(device)
+        self.shift, spread = self.features.mean(0), self.features.std(0).nan_to_num(0.0)
+        self.scale = torch.where(spread > QUIET, 1.0 / spread.clamp(min=QUIET), 0.0)
+        start = starting_codes(samples, mean, config.codes).astype(np.float32)
+        self.code = torch.from_numpy(start).to(device)
+        inputs = len(self.shift) + config.codes
+        sizes = [inputs, *[config.width] * config.depth, self.target.shape[1]]
+        pairs = list(itertools.pairwise(sizes))
+        self.layers = [made(a, b, self.generator, device) for a, b in pairs[:-1]]
+        self.layers.append(made(*pairs[-1], None, device))
+
+    @property
+    def inner(self) -> list[Tensor]:
+        """Weights and biases of the layers, from the first on."""
+        return [parameter for layer in self.layers for parameter in layer]
+
+    def descent(self, rows: Tensor) -> tuple[Tensor, list[Tensor], Tensor]:
+        """The squared error of samples (B,), summed, and half its gradient.
+
+        Returns:
+            the error; the gradient with respect to ``inner``; that with respect to the codes of
+            the samples' receivers, (B, G).
+        """
+        seen = (self.features[rows] - self.shift) * self.scale
+        values = [torch.cat([seen, self.code[self.receiver[rows]]], dim=1)]
+        for weight, bias in self.layers[:-1]:
+            values.append(torch.addmm(bias, values[-1], weight.T).tanh_())
+        weight, bias = self.layers[-1]
+        slope = torch.addmm(bias, values[-1], weight.T) - self.target[rows]
+        error = slope.square().sum()
+        gradients: list[Tensor] = []
+        for index in range(len(self.layers) - 1, -1, -1):
+            gradients[:0] = [slope.T @ values[index], slope.sum(0)]
+            slope = slope @ self.layers[index][0]
+            if index:
+                slope *= 1.0 - values[index].square()
+        return error, gradients, slope[:, seen.shape[1] :]
+
+    def gradient(self, rows: Tensor, energy: float, each: Each, part: int) -> Tensor:
+        """Set every parameter's gradient of the mean squared error of samples (B,) over ``energy``,
+        worked out by parts of so many.
+
+        Returns:
+            the mean squared error over ``energy``.
+        """
+        parts = list(each(self.descent, torch.split(rows, part)))
+        factor = 2.0 / (len(rows) * energy)
+        for parameter, own in zip(
+            self.inner, zip(*(found[1] for found in parts), strict=True), strict=True
+        ):
+            total = own[0]
+            for further in own[1:]:
+                total += further
+            parameter.grad = total.mul_(factor)
+        codes = torch.cat([found[2] for found in parts]).mul_(factor)
+        self.code.grad = torch.zeros_like(self.code).index_add_(0, self.receiver[rows], codes)
+        return torch.stack([found[0] for found in parts]).sum() / (len(rows) * energy)
+
+
 def fit_network(
     samples: Samples,
     mean: FloatArray,
@@ -82,7 +157,7 @@ def fit_network(
     device: str = "cpu",
     on_step: Callable[[int, int, float], None] | None = None,
 ) -> Layers:
-    """Fit the network to samples.
+    """Fit the network to samples, by as many threads as torch has.
 
     Args:
         samples: pairs of a pose and a receiver.
@@ -94,52 +169,38 @@ def fit_network(
     Raises:
         PrtnetError: the loss is not finite.
     """
-    generator = torch.Generator().manual_seed(config.seed)
-    features = torch.from_numpy(samples.features).to(device)
-    target = torch.from_numpy(samples.deviation).to(device)
-    receiver = torch.from_numpy(samples.receiver.astype(np.int64)).to(device)
-    shift, spread = features.mean(0), features.std(0).nan_to_num(0.0)
-    scale = torch.where(spread > QUIET, 1.0 / spread.clamp(min=QUIET), 0.0)
-    energy = float(target.square().sum(1).mean()) or 1.0
+    with in_threads(torch.get_num_threads()) as each:
+        network = Network(samples, mean, config, device)
+        parts = (each, PART) if device == "cpu" else (one_by_one, config.batch)
+        return trained(network, config, on_step, *parts)
 
-    start = starting_codes(samples, mean, config.codes).astype(np.float32)
-    code = torch.from_numpy(start).to(device).requires_grad_()
-    sizes = [len(shift) + config.codes, *[config.width] * config.depth, target.shape[1]]
-    pairs = list(itertools.pairwise(sizes))
-    layers = [made(a, b, generator, device) for a, b in pairs[:-1]]
-    layers.append(made(*pairs[-1], None, device))
-    inner = [p for layer in layers for p in layer]
+
+def trained(
+    network: Network,
+    config: NetworkConfig,
+    on_step: Callable[[int, int, float], None] | None,
+    each: Each,
+    part: int,
+) -> Layers:
+    """The network after all steps; see :func:`fit_network` and :meth:`Network.gradient`."""
+    inner, code = network.inner, network.code
     groups = [{"params": inner, "weight_decay": config.decay},
               {"params": [code], "weight_decay": 0.0}]  # fmt: skip
     optimiser = torch.optim.AdamW(groups, lr=config.rate)
-    smooth = [p.detach().clone() for p in (*inner, code)]
-
-    def predict(rows: Tensor) -> Tensor:
-        value = torch.cat([(features[rows] - shift) * scale, code[receiver[rows]]], dim=1)
-        for index, (weight, bias) in enumerate(layers):
-            value = functional.linear(torch.tanh(value) if index else value, weight, bias)
-        return value
-
+    smooth = [p.clone() for p in (*inner, code)]
+    energy = float(network.target.square().sum(1).mean()) or 1.0
     recent = 1.0
-    order, position = torch.randperm(len(features), generator=generator), 0
-    for step in range(config.steps):
-        if position + config.batch > len(order) and position:
-            order, position = torch.randperm(len(features), generator=generator), 0
-        rows = order[position : position + config.batch].to(device)
-        position += config.batch
+    for step, rows in enumerate(itertools.islice(batches(network, config), config.steps)):
         pace = min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + math.cos(math.pi * step / config.steps))
         for group in optimiser.param_groups:
             group["lr"] = config.rate * pace
-        loss = (predict(rows) - target[rows]).square().sum(1).mean() / energy
-        optimiser.zero_grad(set_to_none=True)
-        torch.autograd.backward(loss)
+        loss = network.gradient(rows, energy, each, part)
         optimiser.step()
-        with torch.no_grad():
-            keep = min(MEMORY, (1.0 + step) / (10.0 + step))
-            for mean_of, now in zip(smooth, (*inner, code), strict=True):
-                mean_of.lerp_(now, 1.0 - keep)
+        keep = min(MEMORY, (1.0 + step) / (10.0 + step))
+        for mean_of, now in zip(smooth, (*inner, code), strict=True):
+            mean_of.lerp_(now, 1.0 - keep)
         if step % 50 == 49 or step + 1 == config.steps:
-            recent = float(loss.detach())
+            recent = float(loss)
             if not math.isfinite(recent):
                 raise PrtnetError(
                     "training data", f"the shared network's loss is not finite after {step + 1} "
@@ -148,7 +209,20 @@ def fit_network(
                 )  # fmt: skip
             if on_step is not None:
                 on_step(step + 1, config.steps, recent)
-    return folded(smooth, shift, scale, recent)
+    return folded(smooth, network.shift, network.scale, recent)
+
+
+def batches(network: Network, config: NetworkConfig) -> Iterator[Tensor]:
+    """Numbers of samples, (B,), without an end: no two of a round are the same.
+
+    A round leaves out what does not fill a batch, unless that is all.
+    """
+    count = len(network.features)
+    batch = min(config.batch, count)
+    while True:
+        order = torch.randperm(count, generator=network.generator)
+        for rows in torch.split(order[: count - count % batch], batch):
+            yield rows.to(network.features.device)
 
 
 def made(
@@ -159,7 +233,7 @@ def made(
     if generator is not None:
         weight.normal_(0.0, inputs**-0.5, generator=generator)
     bias = torch.zeros(outputs)
-    return weight.to(device).requires_grad_(), bias.to(device).requires_grad_()
+    return weight.to(device), bias.to(device)
 
 
 def folded(smooth: list[Tensor], shift: Tensor, scale: Tensor, loss: float) -> Layers:
