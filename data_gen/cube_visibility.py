@@ -7,7 +7,6 @@ no ray: it sees nothing there.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from prtnet.console import Report, silent
 from prtnet.cube_map import directions
 from prtnet.exchange import Given, Result, exchange
 from prtnet.frames import orthonormal_frames
+from prtnet.kept import keeps_last
 from prtnet.scene import Receivers
 from prtnet.transfer import Surface
 
@@ -176,7 +176,7 @@ class SkyBlock:
         return {}, {"bits": np.concatenate([sky(part) for part in parts])}
 
 
-@functools.lru_cache(maxsize=1)
+@keeps_last
 def known_sky(block: SkyBlock, given: Given) -> Sky:
     """What the blocks of one surface share."""
     return Sky(given, block.size)

@@ -8,7 +8,6 @@ block and the number of threads, not by the number of poses.
 
 from __future__ import annotations
 
-import functools
 import time
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -32,6 +31,7 @@ from prtnet.dataset_writer import DatasetWriter
 from prtnet.errors import PrtnetError
 from prtnet.executor import Task, executor
 from prtnet.frames import FrameField, rest_tangents
+from prtnet.kept import keeps_last
 from prtnet.places import place
 from prtnet.provenance import made_with
 from prtnet.scene import PointCacheScene, Receivers, Scene, SkinnedScene
@@ -212,7 +212,7 @@ class TraceElsewhere:
         prepared(self)(number, pool)
 
 
-@functools.lru_cache(maxsize=1)
+@keeps_last
 def prepared(task: TraceElsewhere) -> TraceBlock:
     """The task in a process that has the files.
 

@@ -14,7 +14,6 @@ they never do: that is told.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -29,6 +28,7 @@ from prtnet.arrays import FloatArray
 from prtnet.console import Report, silent
 from prtnet.cores import lasting_threads
 from prtnet.exchange import Given, Result, exchange
+from prtnet.kept import keeps_last
 from prtnet.sh_rotation import rotate
 
 __all__ = ["Bounces", "Gathering", "bounce", "gather", "unit_irradiance"]
@@ -211,7 +211,7 @@ class GatherBlock:
         return {}, arrays
 
 
-@functools.lru_cache(maxsize=1)
+@keeps_last
 def known_sky(block: GatherBlock, given: Given) -> Sky:
     """What the blocks of one surface share."""
     caster = caster_of(block.kind, given)

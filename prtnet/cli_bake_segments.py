@@ -5,7 +5,6 @@ Beside ``prtnet.cli_bake_all_frequency``, which it serves, it may import the oth
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ from prtnet.all_frequency_factors import RowFactors
 from prtnet.all_frequency_file import OWN, SPARSE, segment_from
 from prtnet.exchange import Exchange, Given, Result
 from prtnet.executor import Serial
+from prtnet.kept import keeps_last
 from prtnet.transfer import Surface
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Raw:
         return maker(self, given)(number, Serial())
 
 
-@functools.lru_cache(maxsize=1)
+@keeps_last
 def maker(raw: Raw, given: Given) -> SegmentMaker:
     """What the segments of one surface share."""
     from data_gen.all_frequency import SegmentMaker
