@@ -358,7 +358,7 @@ def started_cluster() -> Any:
     from distributed import LocalCluster
 
     quiet = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
-    return LocalCluster(n_workers=2, threads_per_worker=1, **quiet)
+    return LocalCluster(n_workers=2, threads_per_worker=2, **quiet)
 
 
 def kill_worker(cluster: Any) -> None:

@@ -37,6 +37,7 @@ PAGE = ROOT / "docs" / "reliability.md"
 COLUMNS = ("reader", "inputs tried", "read", "refused in one line", "crashed or other",
            "slowest, ms", "peak, MB")  # fmt: skip
 ROOM = 1 << 30  # bytes of address space
+CASES, WRITTEN = 100_000, 1_000  # of a reader; of one that writes as well, which takes longer
 SECONDS = 4.0  # of processor time: the largest picture takes up to two
 SILENCE = 600.0  # seconds of the clock without a new case: it hangs
 
@@ -179,7 +180,7 @@ def watched(process: subprocess.Popen[bytes], state: Callable[[], bytes]) -> Non
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("readers", nargs="*", metavar="READER", help=", ".join(READERS))
-    parser.add_argument("--cases", type=int, default=100_000)
+    parser.add_argument("--cases", type=int, help=f"{CASES:,}; {WRITTEN:,} where it writes")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1, help="readers at a time")
     parser.add_argument("--case", type=int, help="repeat one")
@@ -201,9 +202,13 @@ def main() -> None:
                 print(outcome(reader.use, path, reader.writes))
             return
         start, rows, failed = time.perf_counter(), [], 0
+
+        def cases(name: str) -> int:
+            return words.cases or (WRITTEN if READERS[name].writes else CASES)
+
         with ThreadPoolExecutor(words.jobs) as pool:
             every = pool.map(
-                lambda name: tried(name, words.seed, words.cases, Path(made) / name), names
+                lambda name: tried(name, words.seed, cases(name), Path(made) / name), names
             )
             for name, tally in zip(names, every, strict=True):
                 rows.append(tally.row(name))

@@ -89,6 +89,14 @@ def stubs(count: int, folder: Path, number: int) -> float:
         return time.perf_counter() - started
 
 
+def bound(name: str, one: float, two: float) -> str:
+    """How much sooner than one any number of workers is done (Amdahl), by the seconds of two."""
+    own = 2.0 * two - one  # seconds that do not scale
+    if own < 0.02 * one:
+        return f"{name} more than 50 times"
+    return f"{name} at most {one / own:.0f} times"
+
+
 def main() -> None:
     number = next((int(word) for word in sys.argv[1:] if word.isdigit()), STUBS)
     rows = []
@@ -100,8 +108,10 @@ def main() -> None:
         for count, seconds in ((1, alone), (2, both)):
             each, efficiency = f"{1e3 * seconds / blocks:.1f}", alone / seconds / count
             rows.append(["generate", count, blocks, f"{seconds:.1f}", each, f"{efficiency:.0%}"])
+        bounds = []
         for name, words in COMMANDS.items():
             one, two = (seconds_of(words, count, folder) for count in (1, 2))
+            bounds.append(bound(name, one, two))
             for count, seconds in ((1, one), (2, two)):
                 efficiency = f"{one / seconds / count:.0%}"
                 rows.append([name, count, "–", f"{seconds:.1f}", "–", efficiency])
@@ -110,7 +120,9 @@ def main() -> None:
             rows.append(["stubs", 2, some, f"{seconds:.1f}", f"{1e3 * seconds / some:.2f}", "–"])
     share = seconds / number
     keeps = alone / blocks / share
-    note = f"At {alone / blocks:.2f} s a block one scheduler keeps up with {keeps:.0f} workers."
+    note = (f"At {alone / blocks:.2f} s a block one scheduler keeps up with {keeps:.0f} workers. "
+            "By what two gain, any number of workers is done sooner than one with work of this "
+            f"size: {', '.join(bounds)}.")  # fmt: skip
     publish(
         "scaling",
         ("work", "workers", "blocks", "seconds", "ms a block", "efficiency"),

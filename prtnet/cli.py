@@ -196,7 +196,7 @@ def train(argv: Sequence[str]) -> None:
     from training.train import PACKAGES
 
     use_threads(threads(options.threads))
-    place = elsewhere(options.cluster, options.out, PACKAGES, options.dataset)
+    place = elsewhere(options.cluster, options.out, PACKAGES, options.exchange, options.dataset)
     with session.console.progress() as report, place:
         monitor = StageMonitor(report)
         dataset = Dataset.open(options.dataset)
@@ -384,7 +384,7 @@ def bake(argv: Sequence[str]) -> None:
     options, session = arguments("bake", argv, BakeOptions)
     check_options(options, named_options(argv))
     check_output(options.out, *options.inputs())
-    place = elsewhere(options.cluster, options.out, PACKAGES)
+    place = elsewhere(options.cluster, options.out, PACKAGES, options.exchange)
     with session.console.progress() as progress, place:
         field = baked(options, threads(options.threads), progress)
         field.save(options.out)
@@ -405,7 +405,7 @@ def bake_all_frequency(argv: Sequence[str]) -> None:
     from prtnet.all_frequency_file import facts, save_fields
     from prtnet.exchange import elsewhere
 
-    place = elsewhere(options.cluster, options.out, PACKAGES)
+    place = elsewhere(options.cluster, options.out, PACKAGES, options.exchange)
     with session.console.progress() as report, place:
         fields = baked_fields(options, threads(options.threads), report)
         save_fields(options.out, fields)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
+from prtnet.cli_options import Place
 from prtnet.cores import use_blas_threads
 from prtnet.errors import PrtnetError, nearest_name
 from prtnet.limits import (
@@ -52,6 +53,7 @@ SIMULATED = {
     "rows",
     "metres",
     "cluster",
+    "exchange",
 }
 RELIEFS = SIMULATED | {"thickness", "size", "depth", "edges"}
 OPTIONS_OF = {
@@ -61,9 +63,14 @@ OPTIONS_OF = {
     "mesh": SIMULATED,
     "wrinkle": SIMULATED | {"size", "depth"},
     "membrane": {"order", "albedo", "metres", "size", "translucency"},
-    "field": {"cluster"},
+    "field": {"cluster", "exchange"},
 }
-NEEDS = {"rows": "brdf", "thickness": "subsurface", "coherent": "lobes"}
+NEEDS = {
+    "rows": "brdf",
+    "thickness": "subsurface",
+    "coherent": "lobes",
+    "exchange": "cluster",
+}
 
 
 @dataclass(frozen=True)
@@ -89,6 +96,7 @@ class BakeOptions:
     translucency: str = "0.5"  # of a membrane: a number from 0 to 1, or a picture of them
     seed: int = 0  # of what bumps scatters
     cluster: str | None = None  # trace on the workers of this Dask scheduler, tcp://HOST:PORT
+    exchange: Place | None = None  # where workers find data, a folder or a URL; beside --out if not
     threads: int | None = None  # CPU threads; all cores when not given
 
     def __post_init__(self) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
+from prtnet.cli_options import Place, fraction_of
 from prtnet.cores import computing_threads, use_threads
 from prtnet.errors import PrtnetError
 from prtnet.limits import MOST_FACTORS, MOST_THREADS, check_within
@@ -52,12 +53,11 @@ class AllFrequencyOptions:
     error: str = "0.2%"  # squared error to stay below, if clusters leave room for it
     seed: int = 0  # of the clusters
     cluster: str | None = None  # trace on the workers of this Dask scheduler, tcp://HOST:PORT
+    exchange: Place | None = None  # where workers find data, a folder or a URL; beside --out if not
     threads: int | None = None  # CPU threads; all cores when not given
 
     def __post_init__(self) -> None:
         """Refuse values that cannot work."""
-        from prtnet.cli_options import fraction_of
-
         for option, value, least, most in (
             ("--rows", self.rows, 1, MOST_FACTORS),
             ("--terms", self.terms, 1, MOST_TERMS),

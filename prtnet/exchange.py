@@ -201,7 +201,7 @@ def through(tasks: Tasks, folder: Path, packages: Sequence[str] = ()) -> Iterato
     try:
         folder.mkdir(exist_ok=True)
     except failures(folder) as error:
-        told = f"cannot be made ({reason(error)}); give another --out"
+        told = f"cannot be made ({reason(error)}); give another --exchange"
         raise PrtnetError(folder, told) from error
     token = CURRENT.set(Exchange(tasks, folder, made_with(*packages)))
     try:
@@ -224,20 +224,32 @@ def whole(path: Path) -> bool:
 
 
 def elsewhere(
-    address: str | None, out: Path, packages: Sequence[str], data: Path | None = None
+    address: str | None,
+    out: Path,
+    packages: Sequence[str],
+    place: Path | None = None,
+    data: Path | None = None,
 ) -> contextlib.AbstractContextManager[None]:
     """What is handed to a Dask cluster, as :func:`through`; nothing where its address is None.
 
-    The folder is a hidden one beside ``out``, or beside ``data`` where that is in a store: there by
-    a name of this machine's output alone.
+    It goes through a hidden folder: in ``place`` if that is given, else beside ``data`` where that
+    is in a store, else beside ``out``. Elsewhere than there it has a name of this machine's output
+    alone.
+
+    Raises:
+        PrtnetError: there is a place and no address.
     """
     if address is None:
+        if place is not None:
+            raise PrtnetError("--exchange", "needs --cluster; add it, or leave this out")
         return contextlib.nullcontext()
-    folder = out.with_name(f".{out.name}.blocks")
-    if data is not None and is_remote(data):
-        own = hashlib.sha256(f"{platform.node()}:{out.resolve()}".encode()).hexdigest()[:8]
-        folder = data.with_name(f".{out.name}.{own}.blocks")
-    return through(executor(address, 1, packages), folder, packages)
+    tasks = executor(address, 1, packages)
+    if place is None and data is not None and is_remote(data):
+        place = data.parent
+    if place is None:
+        return through(tasks, out.with_name(f".{out.name}.blocks"), packages)
+    own = hashlib.sha256(f"{platform.node()}:{out.resolve()}".encode()).hexdigest()[:8]
+    return through(tasks, place / f".{out.name}.{own}.blocks", packages)
 
 
 def in_parallel(function: Callable[[Item], Outcome], items: Sequence[Item]) -> list[Outcome]:

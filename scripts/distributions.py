@@ -1,7 +1,7 @@
 """Build wheel and sdist into dist/ and try them where nothing else is (``make dist``).
 
 The wheel holds the four packages and no more, has the same bytes built from the sdist as from the
-tree, and ``prtnet demo --quick`` runs from it in an empty environment, and then from the sdist.
+tree, and ``prtnet demo --quick`` runs from each in an empty environment.
 """
 
 from __future__ import annotations
@@ -80,28 +80,27 @@ def build(folder: Path, *options: str) -> None:
         raise SystemExit(f"build: failed\n{done.stdout}{done.stderr}")
 
 
-def try_out(wheel: Path, sdist: Path, folder: Path) -> None:
-    """Install both in turn into a new environment in a folder and run the demonstration there."""
+def try_out(archive: Path, folder: Path) -> None:
+    """Install it into a new environment in a folder and run the demonstration there."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     scripts = folder / "venv" / "bin"
 
     def run(*command: str | Path) -> None:
         if subprocess.run(command, cwd=folder, env=environment, check=False).returncode:
-            raise SystemExit(f"dist: failed at {' '.join(map(str, command))}")
+            raise SystemExit(f"dist: {archive.name} failed at {' '.join(map(str, command))}")
 
     run(sys.executable, "-m", "venv", scripts.parent)
     pip = scripts / "python", "-m", "pip", "--disable-pip-version-check", "--no-input"
-    constraints = REPOSITORY / "constraints.txt"
-    anew = "--no-deps", "--force-reinstall", "--no-build-isolation"
-    for archive, again in ((wheel, ()), (sdist, anew)):
-        if archive is sdist:  # what builds it is pinned as well
-            run(*pip, "install", "-qq", "--no-compile", "-c", constraints, "hatchling")
-        out = f"demo-{archive.suffix[1:]}"
-        run(*pip, "install", "-qq", "--no-compile", "-c", constraints, *again, archive)
-        run(*pip, "check")
-        run(scripts / "prtnet", "demo", "--quick", "--out", out)
-        if lost := [name for name in MADE if not (folder / out / name).is_file()]:
-            raise SystemExit(f"prtnet demo: made no {', '.join(lost)}")
+    install = *pip, "install", "-qq", "--no-compile", "-c", REPOSITORY / "constraints.txt"
+    if archive.suffix == ".whl":
+        run(*install, archive)
+    else:  # what builds it is pinned as well
+        run(*install, "hatchling")
+        run(*install, "--no-build-isolation", archive)
+    run(*pip, "check")
+    run(scripts / "prtnet", "demo", "--quick", "--out", "demo")
+    if lost := [name for name in MADE if not (folder / "demo" / name).is_file()]:
+        raise SystemExit(f"dist: the demo of {archive.name} made no {', '.join(lost)}")
 
 
 def main() -> None:
@@ -116,7 +115,10 @@ def main() -> None:
             if archive.read_bytes() != (folder / archive.name).read_bytes():
                 raise SystemExit(f"{archive.name}: has other bytes when it is built again")
         check_contents(wheel, sdist)
-        try_out(wheel, sdist, folder)
+        for archive in (wheel, sdist):
+            (folder / "new").mkdir()
+            try_out(archive, folder / "new")
+            shutil.rmtree(folder / "new")  # one of them takes a gigabyte
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from data_gen.procedural import arm
 from data_gen.readers import read_scene
 from prtnet.cli import run
 from prtnet.errors import PrtnetError
-from prtnet.exchange import through
+from prtnet.exchange import Exchange, through
 from prtnet.executor import Cluster, Task
 from tests import store as _store  # noqa: F401 - registers farm://
 from tests.training.data import memory_dataset
@@ -216,3 +216,53 @@ def test_bake_on_a_cluster(
     assert run([*argv, str(out), *address]) == 0
     assert out.read_bytes() == (tmp_path / "here.safetensors").read_bytes()
     assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.filterwarnings("ignore:UPath 'farm' filesystem")
+@pytest.mark.parametrize(
+    "words",
+    [
+        "bake {0}/ball.ply --rays 16 --order 3 --lobes 1",
+        "bake-all-frequency {0}/ball.ply --texels 8 --points-per-cluster 40 --terms 3",
+        "train {0}/a.zarr --preset small --alpha 0.01 --iterations 3",
+    ],
+)
+def test_workers_that_share_a_store_alone(
+    words: str, cluster: Any, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What they exchange goes there, and nothing is written beside the output meanwhile."""
+    trimesh.creation.icosphere(subdivisions=1, radius=0.5).export(tmp_path / "ball.ply")
+    generate(read_scene(scene), dataclasses.replace(CONFIG, count=3), tmp_path / "a.zarr")
+    argv = [*words.format(tmp_path).split(), "--quiet", "--threads", "1", "--out"]
+    assert run([*argv, str(tmp_path / "here.safetensors")]) == 0
+    seen: list[set[str]] = []
+    put = Exchange.put
+
+    def spy(self: Exchange, arrays: Any) -> Any:
+        given = put(self, arrays)
+        seen.append({path.name for path in (tmp_path / "farm").rglob("*") if path.is_file()})
+        return given
+
+    monkeypatch.setattr(Exchange, "put", spy)
+    (tmp_path / "farm").mkdir()
+    place = ["--cluster", cluster.scheduler_address, "--exchange", f"farm://{tmp_path}/farm"]
+    before = sorted(path.name for path in tmp_path.iterdir())
+    assert run([*argv, str(tmp_path / "far.safetensors"), *place]) == 0
+    assert any(seen)
+    assert all(own for own in seen)
+    assert list((tmp_path / "farm").rglob("*.blocks")) == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*before, "far.safetensors"])
+    far, here = (tmp_path / f"{name}.safetensors" for name in ("far", "here"))
+    assert far.read_bytes() == here.read_bytes()
+
+
+@pytest.mark.parametrize("command", ["bake bumps", "bake-all-frequency a.ply", "train a.zarr"])
+def test_a_place_to_exchange_data_without_a_cluster(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trimesh.creation.icosphere(subdivisions=1).export(tmp_path / "a.ply")
+    (tmp_path / "a.zarr").mkdir()
+    words = [str(tmp_path / word) if "." in word else word for word in command.split()]
+    argv = [*words, "--out", str(tmp_path / "a.safetensors"), "--exchange", str(tmp_path)]
+    assert run(argv) == 2
+    assert "--exchange: needs --cluster; add it, or leave this out" in capsys.readouterr().err
