@@ -206,7 +206,7 @@ class BaseViewer(ABC, Generic[S, V, D]):
         self.imgui.get_io().delta_time = max(elapsed, 1e-4)
         self.leaving = [task for task in self.leaving if task.busy]
         ready = min(self.window.buffer_size) and not (self.opening.busy or self.trial)
-        if ready and self.saving is None:
+        if ready and (self.saving is None or self.replacing):  # a movie takes long
             self.open_on()
         if self.saving is not None:
             self.save_on()
@@ -447,8 +447,6 @@ class BaseViewer(ABC, Generic[S, V, D]):
     def save(self, recorder: Callable[[Any], Iterator[str]]) -> None:
         """Begin to save something, a picture a step; ``runtime.recording`` has what there is."""
         self.stop_saving()
-        if self.replacing and not self.trial:
-            self.open_on()  # a movie takes long
         self.view.playing = False  # what is traced is this pose
         self.saving = recorder(self)
 

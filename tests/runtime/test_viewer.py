@@ -862,6 +862,27 @@ def test_what_was_there_is_given_back_before_a_movie_is_saved(viewer, monkeypatc
     viewer.step(0.0)
     assert gone == []
     press(viewer, "T")
+    viewer.step(0.0)
+    assert gone == [shown]
+    assert viewer.saving is not None
+    viewer.stop_saving()
+    viewer.opened()
+
+
+def test_a_movie_that_is_asked_for_as_another_is_drawn_first_does_not_hold_what_was_there(
+    viewer, monkeypatch
+):
+    gone, leave, shown = [], Show.leave, viewer.show
+    monkeypatch.setattr(Show, "leave", lambda *given: (gone.append(given[0]), leave(*given))[1])
+    viewer.dropped(0, 0, ["one.safetensors"])
+    viewer.opening.future.exception()
+    viewer.step(0.0)
+    while not viewer.trial:
+        viewer.open_on()
+    press(viewer, "T")
+    assert viewer.saving is not None
+    viewer.step(0.0)
+    viewer.step(0.0)
     assert gone == [shown]
     assert viewer.saving is not None
     viewer.stop_saving()

@@ -43,6 +43,8 @@ def drag(viewer: Viewer, button: str, right: int, up: int) -> None:
     from pyglet.window import mouse
 
     pressed = getattr(mouse, button)
+    send(viewer, "on_mouse_motion", 150, 10, 0, 0)  # the pointer of the display may be anywhere
+    viewer.step(0.0)
     for kind, rest in (
         ("on_mouse_press", (pressed, 0)),
         ("on_mouse_drag", (right, up, pressed, 0)),
