@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tyro.conf import Positional
 
 from prtnet.cli_options import Place
-from prtnet.cores import use_blas_threads
+from prtnet.cores import side_by_side, use_blas_threads
 from prtnet.errors import PrtnetError, nearest_name
 from prtnet.limits import (
     MOST_BOUNCES,
@@ -184,15 +184,16 @@ def baked(options: BakeOptions, threads: int, report: Report) -> TransferField |
     from prtnet.transfer import TransferField
 
     use_blas_threads(1)  # factors and fits of a point are small, and the same whatever --threads
-    if source_of(options) != "field":
-        field = simulated(options, threads, report)
-    elif options.lobes is None:
-        raise PrtnetError(options.source, "is baked already; add --lobes to fit lobes to it")
-    else:
-        field = TransferField.load(options.source)
-    if options.lobes is None:
-        return field
-    return lobe_field(field, options.lobes, options.coherent, report)
+    with side_by_side(threads):
+        if source_of(options) != "field":
+            field = simulated(options, threads, report)
+        elif options.lobes is None:
+            raise PrtnetError(options.source, "is baked already; add --lobes to fit lobes to it")
+        else:
+            field = TransferField.load(options.source)
+        if options.lobes is None:
+            return field
+        return lobe_field(field, options.lobes, options.coherent, report)
 
 
 def simulated(options: BakeOptions, threads: int, report: Report) -> TransferField:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from tyro.conf import Positional
 
 from prtnet.cli_options import Place, fraction_of
-from prtnet.cores import computing_threads, use_threads
+from prtnet.cores import computing_threads, side_by_side, use_threads
 from prtnet.errors import PrtnetError
 from prtnet.limits import MOST_FACTORS, MOST_THREADS, check_within
 from prtnet.provenance import made_with
@@ -120,9 +120,10 @@ def baked_fields(
         beside: dict[str, Any] = {"source": "ground", "brdf": GROUND}
         parts.append((ground(surface), row_factors(brdf_named(GROUND)), beside))
     casters = [part[0] for part in parts]
-    return tuple(
-        one(options, own, casters, rows, facts, threads, report) for own, rows, facts in parts
-    )
+    with side_by_side(threads):
+        return tuple(
+            one(options, own, casters, rows, facts, threads, report) for own, rows, facts in parts
+        )
 
 
 def one(

@@ -5,24 +5,31 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
 from typing import Protocol, TypeVar
 
 __all__ = [
     "Each",
     "computing_threads",
     "core_count",
+    "divided",
     "in_threads",
     "lasting_threads",
     "one_by_one",
     "one_thread",
+    "side_by_side",
+    "thread_count",
     "use_blas_threads",
     "use_threads",
 ]
 
 A = TypeVar("A")
 B = TypeVar("B")
+COUNT: ContextVar[int | None] = ContextVar("COUNT", default=None)
+DIVIDED: ContextVar[bool] = ContextVar("DIVIDED", default=False)
 
 
 class Each(Protocol):
@@ -87,17 +94,53 @@ def computing_threads(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, "computing", torch.set_num_threads, (1,))
 
 
-@contextlib.contextmanager
-def in_threads(count: int) -> Iterator[Each]:
-    """An ``Each`` of so many threads: every library computes by one in each, and beside them."""
-    import torch
+def thread_count() -> int:
+    """Threads for pieces of work: as :func:`side_by_side` says; else torch's; else one a core."""
+    torch = sys.modules.get("torch")
+    return COUNT.get() or (core_count() if torch is None else torch.get_num_threads())
 
-    before = torch.get_num_threads()
+
+@contextlib.contextmanager
+def side_by_side(count: int) -> Iterator[None]:
+    """Inside, so many pieces of work are computed at a time."""
+    token = COUNT.set(count)
     try:
-        with one_thread(), computing_threads(count) as pool:
-            yield pool.map
+        yield
     finally:
-        torch.set_num_threads(before)
+        COUNT.reset(token)
+
+
+@contextlib.contextmanager
+def divided(count: int) -> Iterator[None]:
+    """Inside, only pieces of work are done side by side, so many: libraries compute by one thread.
+
+    So no sum depends on the number of threads. In one thread of the process at a time: what
+    libraries are told holds for all.
+    """
+    if DIVIDED.get():
+        with side_by_side(count):
+            yield
+        return
+    torch = sys.modules.get("torch")
+    before = None if torch is None else torch.get_num_threads()
+    token = DIVIDED.set(True)
+    with side_by_side(count), one_thread():
+        if torch is not None:
+            torch.set_num_threads(1)  # MKL, too, which threadpoolctl need not see
+        try:
+            yield
+        finally:
+            DIVIDED.reset(token)
+            if torch is not None:
+                torch.set_num_threads(before)
+
+
+@contextlib.contextmanager
+def in_threads() -> Iterator[Each]:
+    """An ``Each`` of :func:`thread_count` threads, :func:`divided`."""
+    count = thread_count()
+    with divided(count), computing_threads(count) as pool:
+        yield pool.map
 
 
 @functools.cache

@@ -22,7 +22,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from prtnet.block_files import read_block, read_part, write_block
-from prtnet.cores import core_count
+from prtnet.cores import side_by_side, thread_count
 from prtnet.errors import PrtnetError
 from prtnet.executor import Tasks, executor
 from prtnet.places import children, failures, is_remote, place, reason, remove_place
@@ -95,7 +95,8 @@ class Piece:
     def __call__(self, number: int, pool: Executor) -> None:
         """Do block ``number``; the other threads have blocks of their own."""
         del pool
-        write_block(self.path(number), *self.work(number, self.given))
+        with side_by_side(1):
+            write_block(self.path(number), *self.work(number, self.given))
 
     def path(self, number: int) -> Path:
         """Where the result of a block is."""
@@ -155,7 +156,7 @@ class Exchange:
         paths = {number: piece.path(number) for number in range(count)}
         done = [number for number, path in paths.items() if path.name in there and whole(path)]
         left = sorted(set(range(count)) - set(done))
-        for numbers in (done, self.tasks.run(piece, left, ahead=core_count())):
+        for numbers in (done, self.tasks.run(piece, left, ahead=thread_count())):
             for number in numbers:
                 yield number, *read_block(piece.path(number))
 

@@ -20,12 +20,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from prtnet.array_library import as_floating
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.bfgs import minimise
-from prtnet.cores import core_count
+from prtnet.cores import one_thread, thread_count
 from prtnet.sh import evaluate, fibonacci_hemisphere, order_of
 from prtnet.zh import (
     RIDGE,
@@ -179,7 +178,8 @@ def in_blocks(fit: Callable[..., Lobes], target: FloatArray, *others: FloatArray
 
     if len(blocks) == 1:
         return shaped([fitted(blocks[0])], given.shape)
-    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(core_count()) as pool:
+    count = thread_count()
+    with one_thread(), ThreadPoolExecutor(count) as pool:
         return shaped(list(pool.map(fitted, blocks)), given.shape)
 
 

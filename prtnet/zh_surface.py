@@ -19,11 +19,10 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse
 import scipy.sparse.linalg
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.axis_frames import frame_about
-from prtnet.cores import core_count
+from prtnet.cores import one_thread, thread_count
 from prtnet.sh import evaluate, order_of
 from prtnet.zh import (
     RIDGE,
@@ -78,7 +77,8 @@ def coherent_lobes(
     scale = float(np.sqrt(np.mean(np.square(values).sum(axis=-1)))) or 1.0
     values = values / scale
     at_knots = interpolants(values, weights)
-    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(core_count()) as pool:
+    threads = thread_count()
+    with one_thread(), ThreadPoolExecutor(threads) as pool:
         surface = Surface(values, weights, count, pool)
         if start is None:
             starts = beginnings(values, at_knots, count)

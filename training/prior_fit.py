@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.cores import in_threads, one_thread
@@ -92,6 +91,6 @@ def subtract(prior: Prior, poses: FloatArray, visibility: FloatArray, watch: Mon
     def work(row: int) -> None:
         visibility[row] -= prior(poses[row : row + 1])[0]
 
-    with in_threads(torch.get_num_threads()) as each:
+    with in_threads() as each:
         for done, _ in enumerate(each(work, range(len(poses))), start=1):
             watch.progress(done, len(poses), 0.0)

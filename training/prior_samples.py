@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.cores import in_threads
@@ -59,7 +58,7 @@ def draw_samples(
         return own, surroundings.at(poses[row], own), visibility[row, own] - mean[own]
 
     parts = []
-    with in_threads(torch.get_num_threads()) as each_pose:
+    with in_threads() as each_pose:
         for done, part in enumerate(each_pose(work, range(len(poses))), start=1):
             parts.append(part)
             progress(done, len(poses))

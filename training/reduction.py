@@ -8,7 +8,6 @@ from typing import TypeVar
 
 import numpy as np
 import scipy.linalg
-import torch
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.cores import in_threads
@@ -124,8 +123,8 @@ def reduce_output(
 
 
 def each_cluster(work: Callable[[int], T], clusters: int) -> list[T]:
-    """What comes of every cluster, in as many threads as torch has: their number has no say."""
-    with in_threads(torch.get_num_threads()) as each:
+    """What comes of every cluster; the number of threads has no say."""
+    with in_threads() as each:
         return list(each(work, range(clusters)))
 
 

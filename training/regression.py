@@ -11,10 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from prtnet.cores import thread_count
 from prtnet.errors import PrtnetError
 from prtnet.exchange import Exchange, Given, Result, exchange
 from training.lbfgs import NOT_FINITE, Objective, minimise
@@ -206,16 +208,26 @@ def fit_linear(inputs: Tensor, targets: Tensor, alpha: float, prior: Tensor | No
 
     def fit(x: Tensor, t: Tensor, index: Tensor) -> Fit:
         form = None if prior is None else prior[index]
-        solution = ridge(x, t, alpha, form)
-        weight, bias = solution[:, :-1], solution[:, -1]
-        residual = with_ones(x) @ solution - t
-        loss = residual.square().sum(-1).mean(-1) + alpha * weight.square().sum((1, 2))
-        if form is not None:
-            loss = loss + (weight * (form @ weight)).sum((1, 2))
-        done = torch.zeros(len(x), dtype=torch.long)
-        return Fit(weight, bias, None, None, loss, done, [CLOSED_FORM] * len(x))
+
+        def run(first: int, end: int, _: OnIteration) -> Fit:
+            own = None if form is None else form[first:end]
+            return closed_form(x[first:end], t[first:end], alpha, own)
+
+        return joined(in_runs(run, len(x), runs_of(x, x.shape[2])))
 
     return fit_varying(inputs, targets, fit)
+
+
+def closed_form(x: Tensor, t: Tensor, alpha: float, form: Tensor | None) -> Fit:
+    """The ridge regressions of some clusters; see :func:`ridge`."""
+    solution = ridge(x, t, alpha, form)
+    weight, bias = solution[:, :-1], solution[:, -1]
+    residual = with_ones(x) @ solution - t
+    loss = residual.square().sum(-1).mean(-1) + alpha * weight.square().sum((1, 2))
+    if form is not None:
+        loss = loss + (weight * (form @ weight)).sum((1, 2))
+    done = torch.zeros(len(x), dtype=torch.long)
+    return Fit(weight, bias, None, None, loss, done, [CLOSED_FORM] * len(x))
 
 
 def projected_objective(inputs: Tensor, targets: Tensor, neurons: int, alpha: float) -> Objective:
@@ -395,19 +407,28 @@ def fit_in_blocks(
     return joined([found[number] for number in range(blocks)])
 
 
-def fit_in_threads(how: Networks, x: Tensor, t: Tensor, on_iteration: OnIteration | None) -> Fit:
-    """As ``how(x, t)`` by one thread, by as many of torch's as have enough to do."""
+def fit_in_runs(how: Networks, x: Tensor, t: Tensor, on_iteration: OnIteration | None) -> Fit:
+    """As ``how(x, t)`` by one thread, by as many as have enough to do."""
 
     def fit(first: int, end: int, told: OnIteration) -> Fit:
         return how(x[first:end], t[first:end], told, first, len(x))
 
-    worth = x.numel() * how.neurons // RUN
-    return joined(in_runs(fit, len(x), min(torch.get_num_threads(), max(worth, 1)), on_iteration))
+    return joined(in_runs(fit, len(x), runs_of(x, how.neurons), on_iteration))
+
+
+def runs_of(x: Tensor, columns: int) -> int:
+    """In how many runs to fit to inputs (C, P, K) that are multiplied by so many columns."""
+    if x.device.type != "cpu":
+        return 1
+    return max(1, min(thread_count(), x.numel() * columns // RUN))
 
 
 def joined(fits: Sequence[Fit]) -> Fit:
-    """Fits of networks of some clusters after others."""
-    tensors = {name: torch.cat([getattr(fit, name) for fit in fits]) for name in TENSORS}
+    """Fits of some clusters after others."""
+    columns = {name: [getattr(fit, name) for fit in fits] for name in TENSORS}
+    tensors: dict[str, Any] = {
+        name: None if own[0] is None else torch.cat(own) for name, own in columns.items()
+    }
     return Fit(**tensors, status=[text for fit in fits for text in fit.status])
 
 
@@ -443,8 +464,6 @@ def fit_neural(
     def fit(x: Tensor, t: Tensor, _: Tensor) -> Fit:
         if place is not None:
             return fit_in_blocks(place, how, x, t, on_iteration)
-        if x.device.type == "cpu":
-            return fit_in_threads(how, x, t, on_iteration)
-        return how(x, t, on_iteration)
+        return fit_in_runs(how, x, t, on_iteration)
 
     return fit_varying(inputs, targets, fit)

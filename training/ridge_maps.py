@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.cores import in_threads
@@ -45,11 +44,11 @@ def fit_maps(
     def fit(index: int) -> None:
         x = centred[own == index].astype(np.float64)
         gram = x.T @ x
-        level = ridge * np.trace(gram) / len(gram) if len(x) else 0.0
+        level = ridge * np.trace(gram) / len(gram)
         if level > 0:
             right = x.T @ samples.deviation[own == index]
             maps[index] = np.linalg.solve(gram + level * np.eye(len(gram)), right)
 
-    with in_threads(torch.get_num_threads()) as each:
+    with in_threads() as each:
         list(each(fit, range(clusters)))
     return maps.astype(np.float32)

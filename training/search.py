@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from prtnet.cores import divided, thread_count
 from prtnet.dataset import Dataset, sampled_clip
 from prtnet.errors import PrtnetError
 from prtnet.model import VisibilityModel
@@ -205,7 +206,8 @@ def search(
             searches = "--kind auto, --max-error, --max-ms and --max-mb"
             raise PrtnetError(option, f"is chosen by {searches}; leave it, or its preset, out")
     candidates = Candidates(dataset, base, monitor)
-    model = found(candidates, budget or sensible(candidates), milliseconds)
+    with divided(thread_count()):
+        model = found(candidates, budget or sensible(candidates), milliseconds)
     model.metadata["seconds"]["total"] = time.perf_counter() - started
     return model
 

@@ -169,7 +169,7 @@ def fit_network(
     Raises:
         PrtnetError: the loss is not finite.
     """
-    with in_threads(torch.get_num_threads()) as each:
+    with in_threads() as each:
         network = Network(samples, mean, config, device)
         parts = (each, PART) if device == "cpu" else (one_by_one, config.batch)
         return trained(network, config, on_step, *parts)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from prtnet import __version__
 from prtnet.arrays import FloatArray, IntArray
+from prtnet.cores import divided, in_threads, thread_count
 from prtnet.dataset import SAMPLED, Dataset, evenly, sampled_clip
 from prtnet.errors import PrtnetError
 from prtnet.features import Features
@@ -56,6 +57,7 @@ PACKAGES = ("numpy", "scikit-learn", "scipy", "torch")  # that decide the bytes 
 DEFAULT_ALPHA = 3e-3  # where there is too little to cross-validate with
 DEFAULT_NEURONS = 16  # likewise, where the number is to be chosen
 NEURAL = ("neural", *AROUND)  # kinds whose clusters have a tanh layer
+BLOCK = 16  # poses whose errors are worked out at a time
 JUDGED = 400  # training poses that the training error is of, at most
 TRIAL_ITERATIONS = 60  # cross-validation compares, it need not converge
 
@@ -89,8 +91,9 @@ def train(dataset: Dataset, config: TrainConfig, monitor: Monitor | None = None)
     if config.kind == "auto":
         raise PrtnetError("--kind", "auto is for prtnet train and training.search.search alone")
     rows = training_rows(dataset)
-    model = fit_model(dataset, rows, config, cross_validation_folds(dataset, rows), watch)
-    report_errors(model, dataset, watch)
+    with divided(thread_count()):
+        model = fit_model(dataset, rows, config, cross_validation_folds(dataset, rows), watch)
+        report_errors(model, dataset, watch)
     model.metadata["seconds"]["total"] = time.perf_counter() - started
     return model
 
@@ -414,7 +417,7 @@ def describe(dataset: Dataset, config: TrainConfig, features: Features) -> dict[
     still = [] if moving is None else sorted(set(range(len(names))) - set(moving.tolist()))
     return {
         "prtnet": __version__,
-        "made_with": made_with(*PACKAGES, threads=torch.get_num_threads()),
+        "made_with": made_with(*PACKAGES, threads=thread_count()),
         "format_version": FORMAT_VERSION,
         "config": dataclasses.asdict(config),
         "dropped_joints": [names[joint] for joint in still],
@@ -438,9 +441,16 @@ def report_errors(model: VisibilityModel, dataset: Dataset, watch: Monitor) -> N
         watch.stage(f"{name.replace('_', '-')} error")
         space = OutputSpace.of(model.metadata)
         total = ErrorSum()
-        for start in range(0, len(rows), 16):
-            block = rows[start : start + 16]
-            total.add(model(dataset.read("pose", block)), space.read(dataset, block))
+
+        def predicted(block: IntArray, space: OutputSpace = space) -> tuple[FloatArray, FloatArray]:
+            return model(dataset.read("pose", block)), space.read(dataset, block)
+
+        blocks = np.array_split(rows, -(-len(rows) // BLOCK))
+        count = thread_count()
+        with in_threads() as each:
+            for first in range(0, len(blocks), count):  # so that few are held
+                for one in each(predicted, blocks[first : first + count]):
+                    total.add(*one)
         summary = total.summary()
         model.metadata[f"{name}_error"] = summary
         watch.scalar(f"error/{name}", summary["rms"], 0)

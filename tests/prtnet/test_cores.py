@@ -4,6 +4,8 @@ import os
 import re
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 
 import pytest
 import torch
@@ -11,7 +13,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from data_gen.generate import GenerateConfig
 from prtnet import cli
-from prtnet.cores import core_count, in_threads
+from prtnet.cores import core_count, divided, in_threads, side_by_side, thread_count
 
 
 def test_every_command_starts_as_many_threads_as_it_may(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,18 +58,39 @@ def test_torch_computes_by_one_in_each_of_computing_threads() -> None:
     assert told.count("1") == len(told)
 
 
-def test_in_threads_every_library_computes_by_one() -> None:
-    def counts(_: int) -> set[int]:
-        return {torch.get_num_threads(), *(own["num_threads"] for own in threadpool_info())}
+def counts(_: int = 0) -> set[int]:
+    return {torch.get_num_threads(), *(own["num_threads"] for own in threadpool_info())}
 
+
+@pytest.fixture
+def three() -> Iterator[None]:
     before = torch.get_num_threads()
     with threadpool_limits(3):
         torch.set_num_threads(3)
-        assert counts(0) == {3}
-        with in_threads(2) as each:
-            assert set.union(*each(counts, range(4)), counts(0)) == {1}
-        assert counts(0) == {3}
-        with pytest.raises(KeyError), in_threads(2) as each:
-            list(each({}.__getitem__, range(4)))
-        assert counts(0) == {3}
+        yield
     torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("three")
+def test_in_threads_every_library_computes_by_one() -> None:
+    assert counts() == {thread_count()} == {3}
+    with in_threads() as each:
+        assert set.union(*each(counts, range(4)), counts()) == {1}
+        assert thread_count() == 3
+        with divided(2), in_threads() as again:  # within another
+            assert set.union(*again(counts, range(4)), counts()) == {1}
+            assert thread_count() == 2
+        assert counts() == {1}
+        assert list(each(lambda _: thread_count(), range(2))) == [1, 1]
+    assert counts() == {3}
+    with pytest.raises(KeyError), in_threads() as each:
+        list(each({}.__getitem__, range(4)))
+    assert counts() == {thread_count()} == {3}
+
+
+def test_pieces_are_done_by_as_many_as_is_said() -> None:
+    with side_by_side(2), in_threads() as each:
+        ready = threading.Barrier(2, timeout=30)  # one alone would wait for ever
+        list(each(lambda _: ready.wait(), range(2)))
+        names = set(each(lambda _: threading.current_thread().name, range(50)))
+    assert len(names) <= 2
