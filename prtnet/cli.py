@@ -182,10 +182,9 @@ def train(argv: Sequence[str]) -> None:
     if preset not in PRESETS:
         raise PrtnetError("--preset", f"'{preset}' is none; {nearest_name(preset, PRESETS)}")
     options, config, session = arguments("train", argv, TrainOptions, PRESETS[preset])
-    max_error = fraction_of("--max-error", options.max_error)
-    budget = Budget(max_error, options.max_ms, options.max_mb)
+    budget = Budget(fraction_of("--max-error", options.max_error), options.max_ms, options.max_mb)
     check_lobe_options(config, named_options(argv))
-    check_cluster(options.cluster, config, budget, session.console.message)
+    check_cluster(options.cluster, options.exchange, config, budget, session.console.message)
     check_output(options.out, input_file(options.dataset, folder=True))
 
     from prtnet.cli_train import fitting, summary
@@ -195,12 +194,14 @@ def train(argv: Sequence[str]) -> None:
     from prtnet.exchange import elsewhere
     from training.train import PACKAGES
 
-    use_threads(threads(options.threads))
-    place = elsewhere(options.cluster, options.out, PACKAGES, options.exchange, options.dataset)
+    count = threads(options.threads)
+    use_threads(count)
+    handed = options.cluster, options.out, PACKAGES, count, options.exchange, options.dataset
+    place = elsewhere(*handed)
     with session.console.progress() as report, place:
         monitor = StageMonitor(report)
         dataset = Dataset.open(options.dataset)
-        fit = fitting(dataset, config, budget, threads(options.threads))
+        fit = fitting(dataset, config, budget, count)
         if options.log_dir is None:
             model = fit(monitor)
         else:
@@ -384,9 +385,10 @@ def bake(argv: Sequence[str]) -> None:
     options, session = arguments("bake", argv, BakeOptions)
     check_options(options, named_options(argv))
     check_output(options.out, *options.inputs())
-    place = elsewhere(options.cluster, options.out, PACKAGES, options.exchange)
+    count = threads(options.threads)
+    place = elsewhere(options.cluster, options.out, PACKAGES, count, options.exchange)
     with session.console.progress() as progress, place:
-        field = baked(options, threads(options.threads), progress)
+        field = baked(options, count, progress)
         field.save(options.out)
     facts = field.facts()
     for warning in warnings_of(facts):
@@ -405,9 +407,10 @@ def bake_all_frequency(argv: Sequence[str]) -> None:
     from prtnet.all_frequency_file import facts, save_fields
     from prtnet.exchange import elsewhere
 
-    place = elsewhere(options.cluster, options.out, PACKAGES, options.exchange)
+    count = threads(options.threads)
+    place = elsewhere(options.cluster, options.out, PACKAGES, count, options.exchange)
     with session.console.progress() as report, place:
-        fields = baked_fields(options, threads(options.threads), report)
+        fields = baked_fields(options, count, report)
         save_fields(options.out, fields)
     for field in fields:
         columns = (field.metadata["source"], "bytes", "of raw", "squared error")

@@ -69,7 +69,6 @@ NEEDS = {
     "rows": "brdf",
     "thickness": "subsurface",
     "coherent": "lobes",
-    "exchange": "cluster",
 }
 
 
@@ -96,7 +95,7 @@ class BakeOptions:
     translucency: str = "0.5"  # of a membrane: a number from 0 to 1, or a picture of them
     seed: int = 0  # of what bumps scatters
     cluster: str | None = None  # trace on the workers of this Dask scheduler, tcp://HOST:PORT
-    exchange: Place | None = None  # where workers find data, a folder or a URL; beside --out if not
+    exchange: Place | None = None  # folder or URL for finished parts, until all are: to go on with
     threads: int | None = None  # CPU threads; all cores when not given
 
     def __post_init__(self) -> None:
@@ -168,8 +167,9 @@ def check_options(options: BakeOptions, named: Mapping[str, str]) -> None:
             needed = "subsurface"  # light and shadow are the same at any size
         if needed is not None and getattr(options, needed) is None:
             raise PrtnetError(option, f"needs --{needed}; add it, or leave this out")
-    if "cluster" in named and source == "field" and options.coherent:
-        raise PrtnetError("--cluster", "does nothing for coherent lobes, one fit; leave it out")
+    for name in ("cluster", "exchange"):
+        if name in named and source == "field" and options.coherent:
+            raise PrtnetError(named[name], "does nothing for coherent lobes, one fit; leave it out")
     if "albedo" in named and options.subsurface is not None:
         raise PrtnetError(named["albedo"], "is what --subsurface takes the place of; leave it out")
 

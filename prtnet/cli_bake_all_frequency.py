@@ -53,7 +53,7 @@ class AllFrequencyOptions:
     error: str = "0.2%"  # squared error to stay below, if clusters leave room for it
     seed: int = 0  # of the clusters
     cluster: str | None = None  # trace on the workers of this Dask scheduler, tcp://HOST:PORT
-    exchange: Place | None = None  # where workers find data, a folder or a URL; beside --out if not
+    exchange: Place | None = None  # folder or URL for finished parts, until all are: to go on with
     threads: int | None = None  # CPU threads; all cores when not given
 
     def __post_init__(self) -> None:

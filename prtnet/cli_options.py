@@ -167,7 +167,7 @@ class TrainOptions:
     max_mb: float | None = None  # find the best model that is this small: megabytes of model.onnx
     log_dir: Path | None = None  # write TensorBoard scalars and histograms into this folder
     cluster: str | None = None  # fit networks on workers of this Dask scheduler, tcp://HOST:PORT
-    exchange: Place | None = None  # where workers find data, a folder or a URL; beside --out if not
+    exchange: Place | None = None  # folder or URL for finished parts, until all are: to go on with
     threads: int | None = None  # CPU threads; all cores when not given
 
     def __post_init__(self) -> None:

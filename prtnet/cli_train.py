@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prtnet.cli_arguments import refuse
@@ -55,12 +56,17 @@ def check_lobe_options(config: TrainConfig, named: Mapping[str, str]) -> None:
 
 
 def check_cluster(
-    address: str | None, config: TrainConfig, budget: Budget, tell: Callable[[str], None]
+    address: str | None,
+    exchange: Path | None,
+    config: TrainConfig,
+    budget: Budget,
+    tell: Callable[[str], None],
 ) -> None:
-    """Refuse a cluster that would have nothing to do, and tell what it will not do.
+    """Refuse to hand over what is nothing, and tell what is not handed over.
 
     Args:
         address: of the cluster; None for none.
+        exchange: where work is handed over; that alone hands it to threads of this process.
         config: of the fit.
         budget: of a search, which tries kinds of its own.
         tell: the user.
@@ -68,22 +74,22 @@ def check_cluster(
     Raises:
         PrtnetError: it would have nothing to do.
     """
-    if address is None:
+    if address is None and exchange is None:
         return
+    option = "--exchange" if address is None else "--cluster"
     if config.device != "cpu":
-        raise PrtnetError(
-            "--device", "has no say in fits on a cluster; leave it, or --cluster, out"
-        )
+        told = f"has no say in fits that are handed over; leave it, or {option}, out"
+        raise PrtnetError("--device", told)
     if budget or config.kind == "auto":
         return
     from training.train import NEURAL
 
     if config.regression not in NEURAL or config.latents < 1:
         what = f"a {config.regression} model without networks of clusters"
-        raise PrtnetError("--cluster", f"does nothing for {what}; leave it out")
+        raise PrtnetError(option, f"does nothing for {what}; leave it out")
     if config.kind in ("hybrid", "shared"):
-        tell(f"--cluster fits the networks of clusters; what all receivers of a {config.kind} "
-             "model share is one fit, made here")  # fmt: skip
+        tell(f"{option} is for the networks of clusters; what all receivers of a {config.kind} "
+             "model share is one fit, made here and anew")  # fmt: skip
 
 
 def fitting(

@@ -202,7 +202,7 @@ def through(tasks: Tasks, folder: Path, packages: Sequence[str] = ()) -> Iterato
     try:
         folder.mkdir(exist_ok=True)
     except failures(folder) as error:
-        told = f"cannot be made ({reason(error)}); give another --exchange"
+        told = f"cannot be made ({reason(error)}); give another --out or --exchange"
         raise PrtnetError(folder, told) from error
     token = CURRENT.set(Exchange(tasks, folder, made_with(*packages)))
     try:
@@ -228,29 +228,32 @@ def elsewhere(
     address: str | None,
     out: Path,
     packages: Sequence[str],
-    place: Path | None = None,
+    threads: int,
+    where: Path | None = None,
     data: Path | None = None,
 ) -> contextlib.AbstractContextManager[None]:
-    """What is handed to a Dask cluster, as :func:`through`; nothing where its address is None.
+    """What is handed over, as :func:`through`, to a Dask cluster; without one, but with a folder,
+    to our own threads; nothing without either.
 
-    It goes through a hidden folder: in ``place`` if that is given, else beside ``data`` where that
-    is in a store, else beside ``out``. Elsewhere than there it has a name of this machine's output
-    alone.
-
-    Raises:
-        PrtnetError: there is a place and no address.
+    Args:
+        address: of the cluster.
+        out: what is to be written.
+        packages: that decide its bytes.
+        threads: of this process.
+        where: holds the hidden folder. Where none is named it lies beside ``out``, or beside
+            ``data`` where that is in a store: then by a name of this machine's alone.
+        data: what is read.
     """
-    if address is None:
-        if place is not None:
-            raise PrtnetError("--exchange", "needs --cluster; add it, or leave this out")
+    if address is None and where is None:
         return contextlib.nullcontext()
-    tasks = executor(address, 1, packages)
-    if place is None and data is not None and is_remote(data):
-        place = data.parent
-    if place is None:
-        return through(tasks, out.with_name(f".{out.name}.blocks"), packages)
+    tasks = executor(address, threads, packages)
+    name = f".{out.name}.blocks"
+    if where is not None:
+        return through(tasks, where / name, packages)
+    if data is None or not is_remote(data):
+        return through(tasks, out.with_name(name), packages)
     own = hashlib.sha256(f"{platform.node()}:{out.resolve()}".encode()).hexdigest()[:8]
-    return through(tasks, place / f".{out.name}.{own}.blocks", packages)
+    return through(tasks, data.with_name(f".{out.name}.{own}.blocks"), packages)
 
 
 def in_parallel(function: Callable[[Item], Outcome], items: Sequence[Item]) -> list[Outcome]:

@@ -254,15 +254,3 @@ def test_workers_that_share_a_store_alone(
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*before, "far.safetensors"])
     far, here = (tmp_path / f"{name}.safetensors" for name in ("far", "here"))
     assert far.read_bytes() == here.read_bytes()
-
-
-@pytest.mark.parametrize("command", ["bake bumps", "bake-all-frequency a.ply", "train a.zarr"])
-def test_a_place_to_exchange_data_without_a_cluster(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    trimesh.creation.icosphere(subdivisions=1).export(tmp_path / "a.ply")
-    (tmp_path / "a.zarr").mkdir()
-    words = [str(tmp_path / word) if "." in word else word for word in command.split()]
-    argv = [*words, "--out", str(tmp_path / "a.safetensors"), "--exchange", str(tmp_path)]
-    assert run(argv) == 2
-    assert "--exchange: needs --cluster; add it, or leave this out" in capsys.readouterr().err

@@ -2,7 +2,9 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import pytest
 
@@ -32,6 +34,23 @@ def test_threads_share_what_is_made_once() -> None:
     slow(8)
     assert slow(8) is not slow(7)  # one is kept at a time
     assert made == [7, 8, 7]
+
+
+def test_what_was_kept_goes_before_another_is_made() -> None:
+    class Large:
+        """Something that can be watched."""
+
+    left: list[Any] = []
+
+    @keeps_last
+    def large(number: int) -> Large:
+        left.append([one() for one, _ in left])
+        left[-1] = (weakref.ref(made := Large()), left[-1])
+        return made
+
+    large(1)
+    large(2)
+    assert left[1][1] == [None]
 
 
 def test_what_fails_is_tried_again() -> None:

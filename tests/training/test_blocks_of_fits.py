@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 import torch
@@ -90,7 +91,7 @@ def test_other_versions_begin_anew(tmp_path, monkeypatch):
 
 
 def test_a_machine_without_the_folder(tmp_path):
-    with pytest.raises(PrtnetError, match="cannot be read on a worker; put --out where"):
+    with pytest.raises(PrtnetError, match="cannot be read on a worker; put --out, or --exc"):
         FitBlock(Networks(3, 1e-3), 4)(0, Given(tmp_path / "none"))
 
 
@@ -98,15 +99,18 @@ def test_a_cluster_that_has_nothing_to_do_is_refused():
     def check(budget=None, **options):
         told = []
         config = dataclasses.replace(SMALL, **options)
-        cli_train.check_cluster("tcp://a:1", config, budget or Budget(), told.append)
+        cli_train.check_cluster("tcp://a:1", None, config, budget or Budget(), told.append)
         return told
 
-    cli_train.check_cluster(None, dataclasses.replace(SMALL, kind="linear"), Budget(), print)
+    linear = dataclasses.replace(SMALL, kind="linear")
+    cli_train.check_cluster(None, None, linear, Budget(), print)
+    with pytest.raises(PrtnetError, match="--exchange: does nothing for a linear model"):
+        cli_train.check_cluster(None, Path("a"), linear, Budget(), print)
     assert check() == check(kind="lobes", regressor="neural") == []
     assert check(Budget(max_error=0.1), kind="linear") == check(kind="auto") == []
     for options in ({"kind": "linear"}, {"kind": "lobes"}, {"kind": "shared", "latents": 0}):
         with pytest.raises(PrtnetError, match=r"does nothing for a .* model without networks"):
             check(**options)
     assert "what all receivers of a shared model share" in check(kind="shared")[0]
-    with pytest.raises(PrtnetError, match="no say in fits on a cluster"):
+    with pytest.raises(PrtnetError, match="no say in fits that are handed over"):
         check(device="cuda")
