@@ -56,7 +56,7 @@ PRELOAD = ("tests.store", "upath", "prtnet.cli_bake", "prtnet.cli_bake_all_frequ
 
 @dataclass(frozen=True)
 class Job:
-    """A command line with ``{inputs}`` and ``{out}`` in it.
+    """A command line with ``{inputs}``, ``{out}`` and perhaps ``{work}``, its folder, in it.
 
     Attributes:
         words: the command line.
@@ -106,6 +106,15 @@ JOBS = (
     Job("bake-all-frequency {inputs}/arm.glb --out {out} --texels 8 --points-per-cluster 40 "
         "--terms 3 --rows 2 --brdf ggx:roughness=0.3", "arm-light.safetensors",
         ("--terms 3", "--terms 2")),
+    Job("train {inputs}/arm.zarr --out {out} --preset best --clusters 3 --iterations 4 --steps 40 "
+        "--samples 500 --networks 1 --alpha 0.01 --threads 2 --exchange {work}",
+        "kept.safetensors", ("--iterations 4", "--iterations 3"), label=" (best, --exchange)"),
+    Job("bake {inputs}/arm.glb --out {out} --rays 32 --order 3 --lobes 1 --threads 2 "
+        "--exchange {work}", "kept-lobes.safetensors", ("--rays 32", "--rays 16"),
+        label=" (--exchange)"),
+    Job("bake-all-frequency {inputs}/arm.glb --out {out} --texels 8 --points-per-cluster 40 "
+        "--terms 3 --rows 2 --brdf ggx:roughness=0.3 --exchange {work}",
+        "kept-light.safetensors", ("--terms 3", "--terms 2"), label=" (--exchange)"),
     Job("generate {inputs}/arm.glb --out farm://{out} --count 9 --rays 32 --order 3 --block 2 "
         "--threads 2", "store.zarr", ("--rays 32", "--rays 16"),
         label=" (to a store)", header="zarr.json"),
@@ -251,7 +260,7 @@ class Bench:
         """The words of a command line."""
         words = job.words.replace(*job.older) if older else job.words
         address = None if self.cluster is None else self.cluster.scheduler_address
-        known = {"inputs": self.inputs, "out": out, "cluster": address}
+        known = {"inputs": self.inputs, "out": out, "work": out.parent, "cluster": address}
         return [*(word.format(**known) for word in words.split()), "--quiet"]
 
     def older(self, job: Job) -> Path:
@@ -354,7 +363,7 @@ class Bench:
 
 
 def started_cluster() -> Any:
-    """Two workers of one thread."""
+    """Two workers of two threads."""
     from distributed import LocalCluster
 
     quiet = {"dashboard_address": None, "silence_logs": logging.CRITICAL}

@@ -152,7 +152,8 @@ def generate(
     # BLAS would start threads of its own in every worker.
     with threadpool_limits(1, user_api="blas"):
         ahead = 1 + -(-config.threads // config.block)
-        for block in executor(cluster, config.threads, PACKAGES).run(task, missing, ahead):
+        tasks = executor(cluster, config.threads, PACKAGES, report)
+        for block in tasks.run(task, missing, ahead):
             done += len(range(len(plan))[writer.span(block)])
             report("poses", done, len(plan))
     path = writer.finish()

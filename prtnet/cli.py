@@ -196,9 +196,9 @@ def train(argv: Sequence[str]) -> None:
 
     count = threads(options.threads)
     use_threads(count)
-    handed = options.cluster, options.out, PACKAGES, count, options.exchange, options.dataset
-    place = elsewhere(*handed)
-    with session.console.progress() as report, place:
+    handed = options.cluster, options.out, PACKAGES, count
+    place = options.exchange, options.dataset
+    with session.console.progress() as report, elsewhere(*handed, report, *place):
         monitor = StageMonitor(report)
         dataset = Dataset.open(options.dataset)
         fit = fitting(dataset, config, budget, count)
@@ -386,8 +386,8 @@ def bake(argv: Sequence[str]) -> None:
     check_options(options, named_options(argv))
     check_output(options.out, *options.inputs())
     count = threads(options.threads)
-    place = elsewhere(options.cluster, options.out, PACKAGES, count, options.exchange)
-    with session.console.progress() as progress, place:
+    handed, place = (options.cluster, options.out, PACKAGES, count), options.exchange
+    with session.console.progress() as progress, elsewhere(*handed, progress, place):
         field = baked(options, count, progress)
         field.save(options.out)
     facts = field.facts()
@@ -408,8 +408,8 @@ def bake_all_frequency(argv: Sequence[str]) -> None:
     from prtnet.exchange import elsewhere
 
     count = threads(options.threads)
-    place = elsewhere(options.cluster, options.out, PACKAGES, count, options.exchange)
-    with session.console.progress() as report, place:
+    handed, place = (options.cluster, options.out, PACKAGES, count), options.exchange
+    with session.console.progress() as report, elsewhere(*handed, report, place):
         fields = baked_fields(options, count, report)
         save_fields(options.out, fields)
     for field in fields:

@@ -22,6 +22,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from prtnet.block_files import read_block, read_part, write_block
+from prtnet.console import Report
 from prtnet.cores import side_by_side, thread_count
 from prtnet.errors import PrtnetError
 from prtnet.executor import Tasks, executor
@@ -229,6 +230,7 @@ def elsewhere(
     out: Path,
     packages: Sequence[str],
     threads: int,
+    report: Report,
     where: Path | None = None,
     data: Path | None = None,
 ) -> contextlib.AbstractContextManager[None]:
@@ -240,13 +242,14 @@ def elsewhere(
         out: what is to be written.
         packages: that decide its bytes.
         threads: of this process.
+        report: told while there is no worker.
         where: holds the hidden folder. Where none is named it lies beside ``out``, or beside
             ``data`` where that is in a store: then by a name of this machine's alone.
         data: what is read.
     """
     if address is None and where is None:
         return contextlib.nullcontext()
-    tasks = executor(address, threads, packages)
+    tasks = executor(address, threads, packages, report)
     name = f".{out.name}.blocks"
     if where is not None:
         return through(tasks, where / name, packages)

@@ -7,13 +7,16 @@ bytes in the same place.
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError
 from itertools import islice
 from typing import Any, Protocol
 
+from prtnet.console import Report, silent
 from prtnet.cores import use_blas_threads
 from prtnet.errors import PrtnetError
 from prtnet.provenance import made_with
@@ -22,6 +25,7 @@ __all__ = ["Cluster", "Local", "Task", "Tasks", "executor"]
 
 PATIENCE = "10s"  # for an answer of the scheduler
 OF_PROCESS = {"prtnet", "python", "machine"}  # facts that are no packages
+LOOK = 10.0  # seconds between looks at whether there is a worker
 AHEAD = 2000  # tasks the scheduler knows of at a time: it keeps each in its memory
 
 
@@ -127,10 +131,11 @@ class Cluster:
     Args:
         address: of its scheduler, ``tcp://host:port``.
         packages: that decide the bytes of results, so that workers must have the same.
+        report: told while there is no worker.
     """
 
-    def __init__(self, address: str, packages: Sequence[str] = ()) -> None:
-        self.address = address
+    def __init__(self, address: str, packages: Sequence[str] = (), report: Report = silent) -> None:
+        self.address, self.report = address, report
         self.made = tuple(made_with(*packages).items())
 
     def run(self, task: Task, numbers: Sequence[int], ahead: int = 1) -> Iterator[int]:
@@ -152,12 +157,32 @@ class Cluster:
         def submitted(number: int) -> Any:
             return client.submit(on_worker, task, number, self.made, pure=False)
 
-        with client:
+        with client, watched(client, self.report):
             running = as_completed(map(submitted, islice(left, AHEAD)), loop=client.loop)
             for future in running:
                 yield result(future)
                 for number in islice(left, 1):
                     running.add(submitted(number))
+
+
+@contextlib.contextmanager
+def watched(client: Any, report: Report) -> Iterator[None]:
+    """Tells when a cluster has no worker: some may be to come, or all have gone."""
+    ended = threading.Event()
+
+    def look() -> None:
+        with contextlib.suppress(OSError):  # the scheduler is gone: who waits for results is told
+            while not ended.wait(LOOK):
+                if not client.scheduler_info(n_workers=1)["workers"]:
+                    report("waiting for a worker of the cluster", 0, 0)
+
+    watch = threading.Thread(target=look, name="watch", daemon=True)
+    watch.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watch.join()
 
 
 def result(future: Any) -> int:
@@ -175,6 +200,8 @@ def result(future: Any) -> int:
         raise PrtnetError("--cluster", f"{what}; start it and this again") from error
 
 
-def executor(cluster: str | None, threads: int, packages: Sequence[str] = ()) -> Tasks:
+def executor(
+    cluster: str | None, threads: int, packages: Sequence[str] = (), report: Report = silent
+) -> Tasks:
     """Threads of this process, or the cluster of that address, as :class:`Cluster` has it."""
-    return Local(threads) if cluster is None else Cluster(cluster, packages)
+    return Local(threads) if cluster is None else Cluster(cluster, packages, report)

@@ -104,6 +104,24 @@ def test_an_error_on_a_worker_is_told_as_it_was(cluster: Any, tmp_path: Path) ->
     )  # fmt: skip
 
 
+def test_a_cluster_without_workers_is_waited_for_and_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+    monkeypatch.setattr(module, "LOOK", 0.05)
+    told: list[str] = []
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as empty:
+
+        def report(what: str, *_: Any) -> None:
+            told.append(what)
+            if len(told) == 2:
+                empty.scale(1)
+
+        tasks = Cluster(empty.scheduler_address, report=report)
+        assert sorted(tasks.run(Write(tmp_path), range(3))) == [0, 1, 2]
+    assert set(told) == {"waiting for a worker of the cluster"}
+
+
 def test_no_scheduler_answers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pytest.importorskip("distributed", reason="needs the extra 'cluster'")
     monkeypatch.setattr(module, "PATIENCE", "1s")
