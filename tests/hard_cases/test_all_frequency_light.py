@@ -60,15 +60,16 @@ def test_a_vertex_that_sees_nothing_and_one_that_sees_everything() -> None:
     assert alone[(towards > 0.3).all(axis=1).T].all()
 
 
-def test_a_light_in_exactly_one_texel() -> None:
+def test_a_light_in_exactly_one_texel(dtype: str) -> None:
     """It has the whole of its segment's wavelets at that place, and arrives by its hat."""
-    texels = np.zeros((6, 8, 8, 1))
+    texels = np.zeros((6, 8, 8, 1), dtype)
     texels[4, 2, 5] = 3.0
     waves = segment_coefficients(texels)
+    assert waves.dtype == dtype
     segment = 4 * 4 + 1
     equal(np.delete(waves, segment, axis=0), 0)
     assert np.count_nonzero(waves[segment]) == 1 + 3 * 2  # of four by four: two levels
-    close(np.linalg.norm(waves), 3.0, 1e-6)
+    close(np.linalg.norm(waves), 3.0, {"float32": 3e-7, "float64": 3e-15}[dtype])
     surface = surface_of(shapes.icosphere(1))
     fine = directions(32)
     light = interpolated(texels[..., 0], fine.reshape(-1, 3)).reshape(6, 32, 32)
@@ -113,12 +114,12 @@ def test_a_light_crosses_without_a_jump(
     below(step, 1.5 * gap * fastest * math.radians(0.25))
 
 
-def test_a_corner_of_the_cube_has_three_faces() -> None:
+def test_a_corner_of_the_cube_has_three_faces(dtype: str) -> None:
     """Light beside a corner lies in texels of all three, each once."""
     corner = (AXES[0, 2] + AXES[2, 2] + AXES[4, 2]) / math.sqrt(3.0)
     beside = corner + 1e-3 * np.eye(3)
-    texels = np.arange(6 * 4 * 4, dtype=float).reshape(6, 4, 4)
-    found = interpolated(texels, beside)
+    texels = np.arange(6 * 4 * 4, dtype=dtype).reshape(6, 4, 4)
+    found = interpolated(texels, beside.astype(dtype))
     assert len(set(found)) == 3
     equal(faces_of(segments_of(texels)), texels)
 

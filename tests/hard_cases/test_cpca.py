@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,12 +15,22 @@ from tests.hard_cases.measured import at_most, below, close, equal, finite
 from tests.training.test_all_frequency import compressed, raw_segment
 from tests.training.test_cpca import rebuilt
 from training.all_frequency import CompressConfig
-from training.cpca import CpcaConfig, clustered_components
+from training.cpca import (
+    CpcaConfig,
+    Subspaces,
+    alternate,
+    clustered_components,
+    lost,
+    nearest,
+    subspaces,
+)
+
+ROUNDED = {"float32": 2e-6, "float64": 1e-14}  # of the energy
 
 
-def points_of(count: int, dims: int, rank: int, seed: int) -> np.ndarray:
+def points_of(count: int, dims: int, rank: int, seed: int, dtype: str = "float32") -> np.ndarray:
     rng = np.random.default_rng(seed)
-    return (rng.normal(size=(count, rank)) @ rng.normal(size=(rank, dims))).astype(np.float32)
+    return (rng.normal(size=(count, rank)) @ rng.normal(size=(rank, dims))).astype(dtype)
 
 
 def all_clusters(points: np.ndarray, config: CpcaConfig) -> float:
@@ -36,6 +47,24 @@ def all_clusters(points: np.ndarray, config: CpcaConfig) -> float:
     energy = np.square(points.astype(np.float64)).sum()
     close(found.error * energy, missed, 1e-3, 1e-6 * energy)
     return found.error
+
+
+def left_of(points: np.ndarray, clusters: int, terms: int, affine: bool = False) -> float:
+    """The share that clusters leave which are sought without a sketch, in the points' precision."""
+    signal = torch.as_tensor(points)[:, None]
+
+    def fit(label: torch.Tensor) -> Subspaces:
+        return subspaces(signal, label, clusters, terms, affine)
+
+    label = alternate(signal, torch.arange(len(points)) % clusters, fit, nearest, 12)
+    assert len(label.unique()) == clusters
+    found = fit(label)
+    left = lost(signal, found)
+    assert found.values.dtype == found.axes.dtype == left.dtype == signal.dtype
+    for numbers in (found.values, found.axes, left):
+        finite(numbers)
+    energy = signal.double().square().sum()
+    return float(left.gather(1, label[:, None]).double().sum().abs() / energy)
 
 
 @given(
@@ -60,26 +89,36 @@ def test_fewer_points_than_clusters() -> None:
     below(all_clusters(points_of(5, 40, 5, 0), CpcaConfig(30, 1)), 1e-9)
 
 
+@pytest.mark.parametrize("terms", [1, 16])
+def test_as_many_points_as_clusters(terms: int, dtype: str) -> None:
+    at_most(left_of(points_of(5, 40, 5, 0, dtype), 5, terms), ROUNDED[dtype])
+
+
 @pytest.mark.parametrize("affine", [False, True])
-def test_identical_points(affine: bool) -> None:
-    points = np.tile(points_of(1, 300, 1, 1), (500, 1))
+def test_identical_points(affine: bool, dtype: str) -> None:
+    points = np.tile(points_of(1, 300, 1, 1, dtype), (500, 1))
     below(all_clusters(points, CpcaConfig(7, 4, affine)), 1e-9)
+    at_most(left_of(points, 7, 4, affine), ROUNDED[dtype])
     # Nearly all of them identical.
-    points[:3] = points_of(3, 300, 3, 2)
+    points[:3] = points_of(3, 300, 3, 2, dtype)
     below(all_clusters(points, CpcaConfig(7, 4, affine)), 1e-9)
+    at_most(left_of(points, 7, 4, affine), ROUNDED[dtype])
 
 
-def test_points_that_are_multiples_of_each_other() -> None:
-    points = np.outer(np.linspace(-1.0, 1.0, 101), points_of(1, 300, 1, 3)).astype(np.float32)
+def test_points_that_are_multiples_of_each_other(dtype: str) -> None:
+    points = np.outer(np.linspace(-1.0, 1.0, 101), points_of(1, 300, 1, 3)).astype(dtype)
     below(all_clusters(points, CpcaConfig(3, 5)), 1e-9)  # one of them is zero
+    at_most(left_of(points, 3, 5), ROUNDED[dtype])
 
 
-def test_more_terms_than_the_rank() -> None:
-    points = points_of(400, 300, 3, 4)
+def test_more_terms_than_the_rank(dtype: str) -> None:
+    points = points_of(400, 300, 3, 4, dtype)
     found = clustered_components(points, CpcaConfig(2, 16))
     below(found.error, 1e-9)
     at_most((np.linalg.norm(found.axes, axis=2) > 0.5).sum(axis=1).max(), 3)
     below(all_clusters(points, CpcaConfig(2, 400)), 1e-9)
+    at_most(left_of(points, 2, 16), ROUNDED[dtype])
+    at_most(left_of(points, 2, 400), ROUNDED[dtype])
 
 
 def test_nothing_but_zeros() -> None:
@@ -89,10 +128,20 @@ def test_nothing_but_zeros() -> None:
     assert len(found.axes) == 0
 
 
-def test_one_giant_among_dwarfs() -> None:
-    points = 1e-6 * points_of(300, 50, 20, 5)
+def test_one_giant_among_dwarfs(dtype: str) -> None:
+    points = 1e-6 * points_of(300, 50, 20, 5, dtype)
     points[7] *= 1e9
     below(all_clusters(points, CpcaConfig(4, 2)), 1e-6)
+    at_most(left_of(points, 4, 2), ROUNDED[dtype])
+
+
+@pytest.mark.parametrize("share", [-1.0, 1.0])
+def test_units_do_not_matter_to_subspaces(share: float, dtype: str) -> None:
+    """As long as their squares are numbers."""
+    points = points_of(200, 30, 20, 6, dtype)
+    size = np.dtype(dtype).type({"float32": 1e15, "float64": 1e140}[dtype] ** share)
+    found, wanted = left_of(size * points, 4, 3), left_of(points, 4, 3)
+    close(found, wanted, {"float32": 1e-3, "float64": 1e-12}[dtype])
 
 
 @pytest.mark.parametrize("size", [1e-18, 1e15])

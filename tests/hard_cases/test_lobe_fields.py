@@ -253,11 +253,12 @@ def test_surfaces_that_have_collapsed_are_still_drawn(renderer, bumpy):
     finite(flat.twisted(1.0).frames)
 
 
-def test_turns_without_end_are_turns(bumpy):
+def test_turns_without_end_are_turns(bumpy, dtype):
     canvas = plane(2)
+    parts = (canvas.positions, canvas.tangents, canvas.normals)
+    canvas = Canvas(*(part.astype(dtype) for part in parts), canvas.faces, canvas.places)
     for angle in (0.0, 1e-12, 50.0, -1e4):
         frames = canvas.twisted(angle).frames
-        close(
-            np.einsum("vji,vjk->vik", frames, frames), np.eye(3) + np.zeros_like(frames), atol=1e-9
-        )
+        products = np.einsum("vji,vjk->vik", frames, frames)
+        close(products, np.broadcast_to(np.eye(3), frames.shape), atol=1e-14)
     picture(lobe_field(bumpy, 2), canvas.twisted(50.0))
