@@ -15,6 +15,7 @@ its bytes are those of an undisturbed run, and it left nothing else behind.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import itertools
@@ -47,6 +48,7 @@ NEEDS_ROOM = ("open", "os.mkdir")
 MAKES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 ROOM = 256 << 20  # bytes of a disk that is large enough
 PAGE_BYTES = 4096  # what a file takes of tmpfs, at least
+SETTLED, HANGS = 30.0, 300.0  # seconds: until a cluster is whole again; of a command at most
 TRIES = 4  # of faults, until one strikes
 PRELOAD = ("tests.store", "upath", "prtnet.cli_bake", "prtnet.cli_bake_all_frequency",
            "training.all_frequency", "training.train", "prtnet.lobe_fit", "data_gen.generate",
@@ -256,6 +258,19 @@ class Bench:
             self.steps[job.name] = counted.steps
             clear(self.work)
 
+    def ready(self) -> None:
+        """Wait for both workers. Dask gives one up that is killed while it starts: then a new
+        cluster.
+        """
+        from distributed import Client
+
+        where = Client(self.cluster.scheduler_address, set_as_default=False)
+        with contextlib.suppress(TimeoutError), where as client:
+            client.wait_for_workers(2, timeout=SETTLED)
+            return
+        self.cluster.close()
+        self.cluster = started_cluster()
+
     def argv(self, job: Job, out: Path, older: bool = False) -> list[str]:
         """The words of a command line."""
         words = job.words.replace(*job.older) if older else job.words
@@ -277,7 +292,7 @@ class Bench:
         if fault is not None and fault.worker:
             if struck:
                 kill_worker(self.cluster)
-            child.join()
+            child.join(HANGS)
         if child.is_alive():
             child.kill()
             child.join()
@@ -302,6 +317,8 @@ class Bench:
 
     def survives(self, job: Job, fault: Fault, old: bool) -> tuple[str, bool]:
         """What was lost, an empty text where nothing was; and whether the fault has struck."""
+        if job.far:
+            self.ready()
         argv = self.argv(job, self.work / job.out)
         with disk(self.work, fault.room is not None) as resize, cleared(self.work):
             if old or job.damaged:

@@ -293,7 +293,7 @@ def cluster_points(
         return torch.zeros(len(points), dtype=torch.int64)
     signal = sketch(points, SKETCH * max(1, config.terms), config.seed, each)
     centres = signal[scattered(signal, clusters, config.seed)]
-    none = torch.zeros(clusters, 0)
+    none = torch.zeros(clusters, 0, dtype=points.dtype)
     start = Subspaces(none, none[..., None].expand(-1, -1, signal.shape[1]), centres)
     signal = signal[:, None]
     label = nearest(lost(signal, start, each))
