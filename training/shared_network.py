@@ -146,7 +146,8 @@ class Network:
                 total += further
             parameter.grad = total.mul_(factor)
         codes = torch.cat([found[2] for found in parts]).mul_(factor)
-        self.code.grad = torch.zeros_like(self.code).index_add_(0, self.receiver[rows], codes)
+        where = (self.receiver[rows],)  # on CUDA in one order, which index_add_ has not
+        self.code.grad = torch.zeros_like(self.code).index_put_(where, codes, accumulate=True)
         return torch.stack([found[0] for found in parts]).sum() / (len(rows) * energy)
 
 
