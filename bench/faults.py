@@ -383,7 +383,7 @@ def started_cluster() -> Any:
     """Two workers of two threads."""
     from distributed import LocalCluster
 
-    quiet = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
+    quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
     return LocalCluster(n_workers=2, threads_per_worker=2, **quiet)
 
 

@@ -49,7 +49,7 @@ class Stub:
 
 def workers(count: int) -> LocalCluster:
     return LocalCluster(
-        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None
+        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0"
     )
 
 

@@ -38,7 +38,7 @@ CONFIG = GenerateConfig(count=24, rays=64, order=3, threads=1, block=1)
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[Any]:
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=2, processes=True, dashboard_address=None,
+        n_workers=2, threads_per_worker=2, processes=True, dashboard_address=":0",
         preload=["tests.store"],
     ) as cluster:  # fmt: skip
         yield cluster
