@@ -213,7 +213,7 @@ def fit_linear(inputs: Tensor, targets: Tensor, alpha: float, prior: Tensor | No
             own = None if form is None else form[first:end]
             return closed_form(x[first:end], t[first:end], alpha, own)
 
-        return joined(in_runs(run, len(x), runs_of(x, x.shape[2])))
+        return fitted_in_runs(run, x, x.shape[2])
 
     return fit_varying(inputs, targets, fit)
 
@@ -413,14 +413,27 @@ def fit_in_runs(how: Networks, x: Tensor, t: Tensor, on_iteration: OnIteration |
     def fit(first: int, end: int, told: OnIteration) -> Fit:
         return how(x[first:end], t[first:end], told, first, len(x))
 
-    return joined(in_runs(fit, len(x), runs_of(x, how.neurons), on_iteration))
+    return fitted_in_runs(fit, x, how.neurons, on_iteration)
 
 
-def runs_of(x: Tensor, columns: int) -> int:
-    """In how many runs to fit to inputs (C, P, K) that are multiplied by so many columns."""
+def fitted_in_runs(
+    fit: Callable[[int, int, OnIteration], Fit],
+    x: Tensor,
+    columns: int,
+    on_iteration: OnIteration | None = None,
+) -> Fit:
+    """The fits of clusters from a first to before another, in runs; all at once on a GPU.
+
+    Args:
+        fit: those of some.
+        x: inputs (C, P, K).
+        columns: that they are multiplied by.
+        on_iteration: told of all.
+    """
     if x.device.type != "cpu":
-        return 1
-    return max(1, min(thread_count(), x.numel() * columns // RUN))
+        return fit(0, len(x), on_iteration or (lambda *_: None))
+    runs = max(1, min(thread_count(), x.numel() * columns // RUN))
+    return joined(in_runs(fit, len(x), runs, on_iteration))
 
 
 def joined(fits: Sequence[Fit]) -> Fit:

@@ -31,7 +31,8 @@ class Counting:
         self.stages: list[str] = []
 
     def look(self, *_: Any) -> None:
-        self.seen |= {torch.get_num_threads(), *(own["num_threads"] for own in threadpool_info())}
+        blas = [own["num_threads"] for own in threadpool_info() if own["user_api"] == "blas"]
+        self.seen |= {torch.get_num_threads(), *blas}
 
     progress = scalar = histogram = look
 
