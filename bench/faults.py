@@ -48,6 +48,7 @@ NEEDS_ROOM = ("open", "os.mkdir")
 MAKES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 ROOM = 256 << 20  # bytes of a disk that is large enough
 PAGE_BYTES = 4096  # what a file takes of tmpfs, at least
+HUNG = 99  # status
 SETTLED, HANGS = 30.0, 300.0  # seconds: until a cluster is whole again; of a command at most
 TRIES = 4  # of faults, until one strikes
 PRELOAD = ("tests.store", "upath", "prtnet.cli_bake", "prtnet.cli_bake_all_frequency",
@@ -287,8 +288,12 @@ class Bench:
         child = self.context.Process(target=process, args=arguments)
         started = time.perf_counter()
         child.start()
-        child.join(None if fault is None else fault.seconds)
+        child.join(HANGS if fault is None or fault.seconds is None else fault.seconds)
         struck = child.is_alive()
+        if struck and (fault is None or fault.seconds is None):
+            child.kill()
+            child.join()
+            return Outcome(HUNG, HANGS, 0, f"hangs: {argv}", struck)
         if fault is not None and fault.worker:
             if struck:
                 kill_worker(self.cluster)

@@ -71,10 +71,10 @@ def read_part(path: Path, name: str, rows: slice | None = None) -> Any:
             # It refuses to slice nothing.
             return own[first:last] if first < last else file.get_tensor(name)[:0]
     except (*failures(path), safetensors.SafetensorError) as error:
-        told = "put --out, or --exchange, where every machine sees it by this name"
+        told = "start again; on a cluster have --out or --exchange where every machine sees it"
         if is_remote(path):
             told = f"check the store ({error})"
-        raise PrtnetError(path.parent, f"cannot be read on a worker; {told}") from error
+        raise PrtnetError(path.parent, f"cannot be read; {told}") from error
 
 
 def remote_part(path: Any, name: str, rows: slice | None) -> Any:

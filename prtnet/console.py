@@ -10,6 +10,7 @@ import contextlib
 import json
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -196,6 +197,7 @@ class _Bar:
         self._clock = clock
         self._start = clock()
         self._shown = False
+        self._lock = threading.Lock()
         self._tasks: dict[str, rich.progress.TaskID] = {}
         self._progress = rich.progress.Progress(
             rich.progress.TextColumn("{task.description} {task.fields[detail]}", markup=False),
@@ -207,9 +209,10 @@ class _Bar:
         )
 
     def report(self, what: str, done: int, total: int, detail: str = "") -> None:
-        if what not in self._tasks:
-            self._tasks[what] = self._progress.add_task(what, total=None, detail=detail)
-        task = self._tasks[what]
+        with self._lock:  # several threads may tell
+            if what not in self._tasks:
+                self._tasks[what] = self._progress.add_task(what, total=None, detail=detail)
+            task = self._tasks[what]
         self._progress.update(task, completed=done, total=total or None, detail=detail)
         if not self._shown and (not total or self._clock() - self._start > PATIENCE):
             self._shown = True

@@ -121,23 +121,23 @@ def divided(count: int) -> Iterator[None]:
         with side_by_side(count):
             yield
         return
-    torch = sys.modules.get("torch")
-    before = None if torch is None else torch.get_num_threads()
-    token = DIVIDED.set(True)
-    with side_by_side(count), one_thread():
+    with contextlib.ExitStack() as stack:
+        stack.callback(DIVIDED.reset, DIVIDED.set(True))
+        stack.enter_context(side_by_side(count))
+        torch = sys.modules.get("torch")
+        if torch is not None:
+            stack.callback(torch.set_num_threads, torch.get_num_threads())
+        stack.enter_context(one_thread())
         if torch is not None:
             torch.set_num_threads(1)  # MKL, too, which threadpoolctl need not see
-        try:
-            yield
-        finally:
-            DIVIDED.reset(token)
-            if torch is not None:
-                torch.set_num_threads(before)
+        yield
 
 
 @contextlib.contextmanager
 def in_threads() -> Iterator[Each]:
     """An ``Each`` of :func:`thread_count` threads, :func:`divided`."""
+    import torch  # noqa: F401 - before it is told of threads
+
     count = thread_count()
     with divided(count), computing_threads(count) as pool:
         yield pool.map

@@ -25,7 +25,7 @@ from prtnet.block_files import read_block, read_part, write_block
 from prtnet.console import Report
 from prtnet.cores import side_by_side, thread_count
 from prtnet.errors import PrtnetError
-from prtnet.executor import Tasks, executor
+from prtnet.executor import Local, Tasks, executor
 from prtnet.places import children, failures, is_remote, place, reason, remove_place
 from prtnet.provenance import made_with
 
@@ -244,24 +244,27 @@ def elsewhere(
         threads: of this process.
         report: told while there is no worker.
         where: holds the hidden folder. Where none is named it lies beside ``out``, or beside
-            ``data`` where that is in a store: then by a name of this machine's alone.
+            ``data`` where that is in a store. Not beside ``out`` its name tells outputs of the same
+            name apart, and beside ``data`` those of machines as well.
         data: what is read.
     """
     if address is None and where is None:
         return contextlib.nullcontext()
     tasks = executor(address, threads, packages, report)
-    name = f".{out.name}.blocks"
-    if where is not None:
-        return through(tasks, where / name, packages)
-    if data is None or not is_remote(data):
-        return through(tasks, out.with_name(name), packages)
-    own = hashlib.sha256(f"{platform.node()}:{out.resolve()}".encode()).hexdigest()[:8]
-    return through(tasks, data.with_name(f".{out.name}.{own}.blocks"), packages)
+    if where is None and data is not None and is_remote(data):
+        where, owner = data.parent, f"{platform.node()}:{out.resolve()}"
+    elif where is None:
+        return through(tasks, out.with_name(f".{out.name}.blocks"), packages)
+    else:
+        owner = str(out.resolve())
+    own = hashlib.sha256(owner.encode()).hexdigest()[:8]
+    return through(tasks, where / f".{out.name}.{own}.blocks", packages)
 
 
 def in_parallel(function: Callable[[Item], Outcome], items: Sequence[Item]) -> list[Outcome]:
-    """The function of all items: in turn, or at once where it hands blocks over."""
-    if exchange() is None or len(items) < 2:
+    """The function of all items: in turn, or at once where it hands blocks to a cluster."""
+    place = exchange()
+    if place is None or isinstance(place.tasks, Local) or len(items) < 2:
         return [function(item) for item in items]
     contexts = [copy_context() for _ in items]
     with ThreadPoolExecutor(len(items)) as pool:

@@ -26,6 +26,7 @@ __all__ = ["Cluster", "Local", "Task", "Tasks", "executor"]
 PATIENCE = "10s"  # for an answer of the scheduler
 OF_PROCESS = {"prtnet", "python", "machine"}  # facts that are no packages
 LOOK = 10.0  # seconds between looks at whether there is a worker
+WAITING = "waiting for a worker of the cluster"
 AHEAD = 2000  # tasks the scheduler knows of at a time: it keeps each in its memory
 
 
@@ -171,10 +172,14 @@ def watched(client: Any, report: Report) -> Iterator[None]:
     ended = threading.Event()
 
     def look() -> None:
-        with contextlib.suppress(OSError):  # the scheduler is gone: who waits for results is told
+        waiting = False
+        with contextlib.suppress(Exception):  # who waits for results is told what is wrong
             while not ended.wait(LOOK):
-                if not client.scheduler_info(n_workers=1)["workers"]:
-                    report("waiting for a worker of the cluster", 0, 0)
+                ask = client.scheduler.identity
+                found = client.sync(ask, n_workers=1, callback_timeout=LOOK)["workers"]
+                if waiting or not found:
+                    report(WAITING, int(bool(found)), 1)
+                waiting = not found
 
     watch = threading.Thread(target=look, name="watch", daemon=True)
     watch.start()
@@ -182,7 +187,7 @@ def watched(client: Any, report: Report) -> Iterator[None]:
         yield
     finally:
         ended.set()
-        watch.join()
+        watch.join(1.0)  # the scheduler may be silent
 
 
 def result(future: Any) -> int:

@@ -10,7 +10,7 @@ and Pereyra 1973); the gradient at the best c is the partial gradient with respe
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -160,6 +160,9 @@ def fit_varying(
         fit: fits some of the clusters, (A, P, K) and (A, P, L), to targets of unit variance; which
             they are is its third argument, (A,).
     """
+    if targets.shape[2] == 1:  # torch rounds a single column by how many clusters there are
+        two = fit_varying(inputs, torch.cat([targets, torch.zeros_like(targets)], dim=2), fit)
+        return replace(two, weight=two.weight[..., :1], bias=two.bias[..., :1])
     require_finite(inputs, targets)
     scale, mean = target_scale(targets), targets.mean(dim=1)
     rounding = (8.0 * torch.finfo(targets.dtype).eps) ** 2
@@ -343,6 +346,14 @@ class Networks:
         Clusters do not see each other: computed by one thread, a block of them, from the ``first``
         on out of ``of``, has the bytes that it has in the batch of all.
         """
+        if self.neurons == 1 and len(x) > 1:  # a single column again
+            every = len(x) if of is None else of
+            rows = range(len(x))
+            alone = [self(x[k : k + 1], t[k : k + 1], None, first + k, every) for k in rows]
+            found = joined(alone)
+            if on_iteration is not None:
+                on_iteration(total_iterations(self.iterations, self.restarts) - 1, found.loss)
+            return found
         objective = projected_objective(x, t, self.neurons, self.alpha)
         generator = torch.Generator().manual_seed(self.seed)
         place = first, len(x) if of is None else of

@@ -158,7 +158,7 @@ def fit_network(
     device: str = "cpu",
     on_step: Callable[[int, int, float], None] | None = None,
 ) -> Layers:
-    """Fit the network to samples, by as many threads as torch has.
+    """Fit the network to samples, by ``thread_count()`` threads.
 
     Args:
         samples: pairs of a pose and a receiver.

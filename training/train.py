@@ -57,7 +57,7 @@ PACKAGES = ("numpy", "scikit-learn", "scipy", "torch")  # that decide the bytes 
 DEFAULT_ALPHA = 3e-3  # where there is too little to cross-validate with
 DEFAULT_NEURONS = 16  # likewise, where the number is to be chosen
 NEURAL = ("neural", *AROUND)  # kinds whose clusters have a tanh layer
-BLOCK = 16  # poses whose errors are worked out at a time
+BLOCK = 4  # poses whose errors a thread works out at a time
 JUDGED = 400  # training poses that the training error is of, at most
 TRIAL_ITERATIONS = 60  # cross-validation compares, it need not converge
 

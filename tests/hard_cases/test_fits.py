@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from prtnet.cores import divided
 from prtnet.metrics import relative_rms
 from prtnet.storage import STORAGES
 from runtime.onnx_model import OnnxModel
@@ -206,3 +207,20 @@ def test_restarts_keep_the_best(dtype):
     fit_neural(x, t, 4, 1e-3, 5, on_iteration=lambda i, _: steps.append(i), restarts=3)
     assert steps == list(range(20))
     assert regression.total_iterations(5, 3) == 20
+
+
+@pytest.mark.parametrize(("latents", "neurons"), [(1, 0), (1, 8), (4, 1), (1, 1)])
+def test_a_single_column_has_the_same_bytes_in_runs_of_any_size(latents, neurons, monkeypatch):
+    """Torch rounds products of one column by how many matrices there are."""
+    generator = torch.Generator().manual_seed(2)
+    x = torch.randn(8, 300, 10, generator=generator)
+    t = torch.tanh(x[..., :3] @ torch.randn(8, 3, latents, generator=generator))
+    monkeypatch.setattr(regression, "RUN", 1)
+    found = []
+    for threads in (1, 2, 4, 8):
+        with divided(threads):
+            every = fit_neural(x, t, neurons, 1e-3, 12) if neurons else fit_linear(x, t, 1e-3)
+        found.append(every)
+    for other in found[1:]:
+        equal(other(x), found[0](x))
+        equal(other.loss, found[0].loss)

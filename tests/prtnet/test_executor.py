@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -25,6 +26,14 @@ class Write:
             raise PrtnetError("block 13", "brings bad luck; leave it out")
         parts = pool.map(str, [number, number * number])
         (self.folder / str(number)).write_text(" ".join(parts))
+
+
+class Slow(Write):
+    """Long enough to be looked at."""
+
+    def __call__(self, number: int, pool: Executor) -> None:
+        time.sleep(0.4)
+        super().__call__(number, pool)
 
 
 def written(folder: Path) -> dict[int, str]:
@@ -109,17 +118,23 @@ def test_a_cluster_without_workers_is_waited_for_and_told(
 ) -> None:
     distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
     monkeypatch.setattr(module, "LOOK", 0.05)
-    told: list[str] = []
+    told: list[tuple[str, int, int]] = []
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as empty:
 
-        def report(what: str, *_: Any) -> None:
-            told.append(what)
+        def report(what: str, done: int, total: int, _: str = "") -> None:
+            told.append((what, done, total))
             if len(told) == 2:
                 empty.scale(1)
 
         tasks = Cluster(empty.scheduler_address, report=report)
-        assert sorted(tasks.run(Write(tmp_path), range(3))) == [0, 1, 2]
-    assert set(told) == {"waiting for a worker of the cluster"}
+        late = threading.Timer(20.0, lambda: empty.scale(1))  # where nobody tells
+        late.start()
+        assert sorted(tasks.run(Slow(tmp_path), range(3))) == [0, 1, 2]
+        late.cancel()
+    assert {what for what, *_ in told} == {"waiting for a worker of the cluster"}
+    assert [done for _, done, _ in told[:2]] == [0, 0]
+    assert [done for _, done, _ in told].count(1) == 1
+    assert told[-1][1] == 1
 
 
 def test_no_scheduler_answers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def test_other_versions_begin_anew(tmp_path, monkeypatch):
 
 
 def test_a_machine_without_the_folder(tmp_path):
-    with pytest.raises(PrtnetError, match="cannot be read on a worker; put --out, or --exc"):
+    with pytest.raises(PrtnetError, match="cannot be read; start again; on a cluster"):
         FitBlock(Networks(3, 1e-3), 4)(0, Given(tmp_path / "none"))
 
 
