@@ -34,6 +34,28 @@ def shared_data() -> Path:
     return folder
 
 
+@pytest.fixture
+def torch_threads() -> Iterator[None]:
+    """Afterwards torch has as many threads as before."""
+    import torch
+
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def three_threads(torch_threads: None) -> Iterator[None]:
+    """All libraries have three."""
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    del torch_threads
+    with threadpool_limits(3):
+        torch.set_num_threads(3)
+        yield
+
+
 @functools.cache
 def gl_problem() -> str | None:
     """Why OpenGL cannot be used here, or None."""

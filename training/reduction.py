@@ -12,7 +12,7 @@ import scipy.linalg
 from prtnet.arrays import FloatArray, IntArray
 from prtnet.cores import in_threads
 
-__all__ = ["OutputReduction", "input_reduction", "reduce_output"]
+__all__ = ["OutputReduction", "each_cluster", "input_reduction", "reduce_output"]
 
 T = TypeVar("T")
 ROUNDING = 1e-12  # variance below this fraction of the signal's is float32's, not the scene's

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from prtnet.arrays import FloatArray, IntArray
-from prtnet.cores import in_threads
 from prtnet.prior import saturated
 from training.prior_samples import Samples
+from training.reduction import each_cluster
 
 __all__ = ["fit_maps"]
 
@@ -49,6 +49,5 @@ def fit_maps(
             right = x.T @ samples.deviation[own == index]
             maps[index] = np.linalg.solve(gram + level * np.eye(len(gram)), right)
 
-    with in_threads() as each:
-        list(each(fit, range(clusters)))
+    each_cluster(fit, clusters)
     return maps.astype(np.float32)

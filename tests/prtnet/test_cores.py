@@ -5,11 +5,10 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 
 import pytest
 import torch
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import threadpool_info
 
 from data_gen.generate import GenerateConfig
 from prtnet import cli
@@ -66,16 +65,7 @@ def counts(_: int = 0) -> set[int]:
     return {torch.get_num_threads(), *blas}
 
 
-@pytest.fixture
-def three() -> Iterator[None]:
-    before = torch.get_num_threads()
-    with threadpool_limits(3):
-        torch.set_num_threads(3)
-        yield
-    torch.set_num_threads(before)
-
-
-@pytest.mark.usefixtures("three")
+@pytest.mark.usefixtures("three_threads")
 def test_in_threads_every_library_computes_by_one() -> None:
     assert counts() == {thread_count()} == {3}
     with in_threads() as each:

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import torch
@@ -16,11 +14,7 @@ from training.shared_network import Network, NetworkConfig, batches, fit_network
 RECEIVERS, COEFFICIENTS = 12, 4
 
 
-@pytest.fixture(autouse=True)
-def _threads() -> Iterator[None]:
-    before = torch.get_num_threads()
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("torch_threads")
 
 
 def problem(count: int = 400, features: int = 5) -> tuple[Samples, np.ndarray]:

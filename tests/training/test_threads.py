@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import torch
-from threadpoolctl import threadpool_info, threadpool_limits
+from threadpoolctl import threadpool_info
 
 from tests.training.data import memory_dataset
 from training import search as module
@@ -41,13 +40,7 @@ class Counting:
         self.look()
 
 
-@pytest.fixture(autouse=True)
-def _three() -> Iterator[None]:
-    before = torch.get_num_threads()
-    with threadpool_limits(3):
-        torch.set_num_threads(3)
-        yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("three_threads")
 
 
 @pytest.mark.parametrize("kind", ["linear", "quadratic", "neural", "lobes", "hybrid", "shared"])
